@@ -1,4 +1,4 @@
-//! `flankscope article`: the article's figures and tables of a scan, ours beside them, as one page.
+//! `flankscope article`: the article's figures and tables of a scan as one page, with our results for comparison.
 
 use std::path::{Path, PathBuf};
 
@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// A line per method, and where the page is.
+/// Prints a line per method, and the path of the page.
 fn show(article: &Article, page: &Path, common: &Common) {
     tell(common, || {
         let line = |of: &MethodResult| {

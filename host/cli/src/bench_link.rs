@@ -1,4 +1,4 @@
-//! The simulated bench as a process of its own: this very program, started again.
+//! Runs the simulated bench as a separate process of the same program.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::process::CommandExt;
@@ -24,8 +24,8 @@ use flankscope_record::origin::Link;
 use crate::camera_process::CameraProcess;
 use crate::scene::Scene;
 
-/// The bench's clock stands while it renders: light over several places takes a busy machine minutes a view. A bench that ends
-/// closes its port.
+/// Longest silence of the bench: its clock stops while it renders, and multiple reflections of light take minutes per view on a
+/// busy machine. A bench that ends closes its port.
 const RENDERING: Duration = Duration::from_secs(600);
 
 /// Write the demo's files or an example of a bench file; run the simulated bench.
@@ -55,7 +55,7 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
     }
 }
 
-/// The bench with the frames' way of a command that says it.
+/// Settings of the bench, with the camera transport of commands that have this option.
 pub fn setup_with_camera(die: &DieArgs, camera: &CameraArgs) -> anyhow::Result<BenchSetup> {
     Ok(BenchSetup {
         camera: camera.camera,
@@ -63,7 +63,7 @@ pub fn setup_with_camera(die: &DieArgs, camera: &CameraArgs) -> anyhow::Result<B
     })
 }
 
-/// The bench of a press that strokes.
+/// Settings of the bench with a running press.
 pub fn setup_with_press(die: &DieArgs, press: &WearRateArgs) -> anyhow::Result<BenchSetup> {
     Ok(BenchSetup {
         wear_rate: press.wear_rate.clone(),
@@ -71,12 +71,12 @@ pub fn setup_with_press(die: &DieArgs, press: &WearRateArgs) -> anyhow::Result<B
     })
 }
 
-/// Seed of everything random.
+/// Seed of all random numbers.
 pub fn seed(setup: &BenchSetup) -> u64 {
     setup.seed
 }
 
-/// Refuses what a real press cannot have.
+/// Refuses options of the bench that a real press cannot have.
 pub fn fits_real_press(setup: &BenchSetup, link: &Link) -> anyhow::Result<()> {
     for (option, file) in [("--die-mesh", &setup.die_mesh), ("--bench", &setup.path)] {
         if let Some(file) = file {
@@ -89,7 +89,7 @@ pub fn fits_real_press(setup: &BenchSetup, link: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Refuses what recorded frames or clouds cannot have.
+/// Refuses options of the bench that recorded frames or clouds cannot have.
 pub fn fits_recording(setup: &BenchSetup) -> anyhow::Result<()> {
     let given = [
         ("--bench", setup.path.is_some()),
@@ -106,7 +106,7 @@ pub fn fits_recording(setup: &BenchSetup) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What stands on the bench, in words that two runs share only if the same stands there.
+/// Describes the settings of the bench; two runs have the same text only if their settings are the same.
 pub fn in_words(setup: &BenchSetup) -> String {
     let BenchFile {
         die,
@@ -154,7 +154,7 @@ pub fn in_words(setup: &BenchSetup) -> String {
         what_stands += &format!(", wear {wear}");
     }
     if let Some(mesh) = &setup.die_mesh {
-        // Another content under the same name is another die; what cannot be read is refused by the bench.
+        // A file of the same name with another content is another die; an unreadable file is refused by the bench.
         let content = flankscope_foundation::files::read_regular(
             mesh,
             flankscope_foundation::files::MOST_DATA_BYTES,
@@ -170,9 +170,9 @@ pub struct Bench {
     child: Child,
     stdout: BufReader<ChildStdout>,
     hello: Hello,
-    /// What takes the packets of its GigE camera.
+    /// The process that receives the packets of its GigE camera.
     camera: Option<CameraProcess>,
-    /// Whether its clock is that of the world.
+    /// Whether its clock is real time.
     real_time: bool,
 }
 
@@ -190,7 +190,7 @@ pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
-/// Refuses a camera that this build has not, and troubles of another one.
+/// Refuses a camera that this build lacks, and faults of a camera that is not used.
 fn has_camera(setup: &BenchSetup) -> anyhow::Result<()> {
     if setup.camera == CameraLink::Gige && !cfg!(feature = "aravis") {
         bail!(
@@ -207,7 +207,7 @@ fn has_camera(setup: &BenchSetup) -> anyhow::Result<()> {
 }
 
 impl Bench {
-    /// Starts the bench for the folder of a tool or a target, with its camera sending frames below `root`.
+    /// Starts the bench for the folder of a tool or target; its camera writes frames below `root`.
     pub fn start(
         setup: &BenchSetup,
         link: &Link,
@@ -257,13 +257,13 @@ impl Bench {
         let program = program.display().to_string();
         let mut child = process::Command::new(&program)
             .args(["bench", "run"])
-            // Ctrl-C is for the host: it ends the bench when the head is out.
+            // Ctrl-C goes to the host only, which ends the bench once the head is out.
             .process_group(0)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .context("cannot start the bench")?;
-        // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
+        // The bench ends when its standard input is closed, so it does not outlive this process.
         if let Some(stdin) = &mut child.stdin {
             writeln!(stdin, "{}", serde_json::to_string(&config)?)
                 .context("cannot tell the bench what stands on it")?;
@@ -284,7 +284,7 @@ impl Bench {
                 real_time: setup.speed.value == Speed(1.0),
             },
             Err(_) => {
-                // It has said why on standard error.
+                // The bench has printed the reason on standard error.
                 let _ = child.wait();
                 bail!("the simulated bench did not start");
             }
@@ -305,12 +305,12 @@ impl Bench {
         &self.hello.port
     }
 
-    /// How patiently to talk to a controller whose clock runs faster.
+    /// Timeouts for a controller whose clock runs faster.
     pub fn client_settings(&self, settings: &StationSettings) -> ClientSettings {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
             stall: settings.client().stall.filter(|_| self.real_time),
-            // In real time it keeps up, or what it says comes too late, as of a press.
+            // In real time the bench must keep up as a press does; late messages count as such.
             silence: if self.real_time {
                 ClientSettings::default().silence
             } else {
@@ -320,9 +320,9 @@ impl Bench {
         }
     }
 
-    /// Ends the bench and takes its truth, and a line for the user if it did not keep up with real time.
+    /// Ends the bench and returns its true values, and a line for the user if it did not keep up with real time.
     pub fn finish(mut self) -> anyhow::Result<(serde_json::Value, Option<String>)> {
-        // The camera does not vanish under whoever takes its frames.
+        // The camera process ends before the bench that it receives from.
         self.camera = None;
         drop(self.child.stdin.take());
         let mut text = String::new();
@@ -355,7 +355,7 @@ mod tests {
         camera: CameraArgs,
     }
 
-    /// Without Aravis a GigE camera is refused with how to get it; its troubles are refused without it.
+    /// Without Aravis, a GigE camera is refused with instructions to install it; its faults are refused without such a camera.
     #[test]
     fn a_camera_that_is_not_there_is_refused_with_the_remedy() {
         let refused = |arguments: &[&str], trouble: Option<&str>| {

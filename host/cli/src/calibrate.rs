@@ -1,4 +1,4 @@
-//! `flankscope calibrate`: captures of a target to a head file.
+//! `flankscope calibrate`: from captures of a target to a head file.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -94,7 +94,7 @@ struct CheckDocument<'a> {
     fit: bool,
     reason: Option<String>,
     self_test: &'a SelfTest,
-    /// The figure that decides.
+    /// The quantity nearest to its limit.
     worst: Option<Judged>,
     arrangements: Option<[Arrangements; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -200,7 +200,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Finds where the camera is sharp before the target's blank plate, and writes the head there where it is asked for.
+/// Finds the setting at which the camera is sharp on the target's blank plate, and writes the head for it if requested.
 fn autofocus(
     args: &Args,
     of_target: (&str, bool),
@@ -245,7 +245,7 @@ fn autofocus(
     calibrate_autofocus::conclude(&focused, made, written, truth, &args.common)
 }
 
-/// A head whose file is what it was sealed as, where it is calibrated.
+/// Reads a head file; a calibrated one must have a valid signature.
 fn believed(path: &Path) -> anyhow::Result<HeadModel> {
     let head = HeadModel::load(path).context("head")?;
     if head.calibration.is_some() {
@@ -255,7 +255,7 @@ fn believed(path: &Path) -> anyhow::Result<HeadModel> {
     Ok(head)
 }
 
-/// What knows the frames of one projector only.
+/// Refuses a head with two projectors for options that know the frames of one only.
 fn has_one_projector(head: &HeadModel, option: &str) -> anyhow::Result<()> {
     ensure!(
         head.second_projector.is_none(),
@@ -264,7 +264,7 @@ fn has_one_projector(head: &HeadModel, option: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Before anything is measured: the head's folder is there.
+/// Checks before any measurement that the head's folder exists.
 fn can_write(output: &Path) -> anyhow::Result<()> {
     ensure!(
         output
@@ -276,7 +276,7 @@ fn can_write(output: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Tests a head; one that fails cannot tell anything, hence indeterminate.
+/// Tests a head; one that fails can judge nothing, so the outcome is indeterminate.
 fn check(
     args: &Args,
     of_target: (&str, bool),
@@ -285,7 +285,7 @@ fn check(
     path: &Path,
 ) -> anyhow::Result<Outcome> {
     let mut head = believed(path)?;
-    // A head from the bench is tested there. Of any other, who tests it says where.
+    // A head from the bench is tested on the bench. For any other head, the user names the link.
     let made = head.calibration.as_ref().and_then(|made| made.simulated);
     let of_head = (
         "--check of a head that is not known to be the bench's",
@@ -355,7 +355,7 @@ fn self_test(
     Ok((test, survey.close(quiet)?))
 }
 
-/// A calibration to be done.
+/// Settings of a calibration.
 struct Job<'a> {
     args: &'a Args,
     site: Site,
@@ -364,7 +364,7 @@ struct Job<'a> {
     output: &'a Path,
 }
 
-/// When each part was done.
+/// Durations of each step.
 struct Clock {
     begun: Instant,
     cores: Instant,
@@ -372,7 +372,7 @@ struct Clock {
 }
 
 impl Job<'_> {
-    /// The instrument photographs the target.
+    /// Calibrates from captures by the instrument.
     fn by_captures(self, mut head: HeadModel) -> anyhow::Result<Outcome> {
         let Self {
             args,
@@ -423,7 +423,7 @@ impl Job<'_> {
         self.conclude(&calibrated, &record, tested, truth, &clock)
     }
 
-    /// Images show what somebody else's instrument saw.
+    /// Calibrates from images that another instrument captured.
     fn by_images(self, head: HeadModel, images: &Path) -> anyhow::Result<Outcome> {
         let quiet = self.args.common.quiet;
         let begun = Instant::now();
@@ -493,7 +493,7 @@ impl Job<'_> {
     }
 }
 
-/// Before anything moves: what the press demands is there, and which station, target and head these are is said.
+/// Before anything moves: checks what a real press requires, and prints station, target and head.
 fn begin(args: &Args, site: &Site, target: &Target, head: &HeadModel) -> anyhow::Result<()> {
     fits_bench(&args.bench.setup()?, site)?;
     site.demands_target(args.target.as_deref())?;

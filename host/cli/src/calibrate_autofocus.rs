@@ -1,5 +1,5 @@
-//! `flankscope calibrate --autofocus`: the setting of a driven lens at which the camera is sharp on a target's blank plate, and the head
-//! there.
+//! `flankscope calibrate --autofocus`: finds the setting of a driven lens at which the camera is sharp on a target's blank plate,
+//! and writes the head for that setting.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::output::{Common, Outcome};
 use crate::site::Made;
 
-/// A setting that was looked at.
+/// A setting that was tried.
 #[derive(Serialize)]
 struct Step {
     counts: u16,
@@ -21,18 +21,18 @@ struct Step {
 
 #[derive(Serialize)]
 struct Found {
-    /// What the driver is to be told, and what that gives.
+    /// Counts of the driver, and the resulting power.
     counts: u16,
     setting_dpt: f64,
-    /// Best focus of the camera, its combined standard uncertainty, and the parts of that.
+    /// Best focus of the camera, its combined standard uncertainty, and the contributions to it.
     sharpest_dpt: f64,
     sigma_dpt: f64,
     sigma: Parts,
-    /// Where the fringes have most contrast, how much, and what leads from there to best focus.
+    /// Setting with the largest contrast of the fringes, that contrast, and the correction from there to best focus.
     vertex_dpt: f64,
     contrast: f64,
     correction: Correction,
-    /// The middle of the plate.
+    /// Distance of the plate's centre.
     distance_mm: f64,
     projector_farther_mm: f64,
     steps: Vec<Step>,
@@ -98,7 +98,7 @@ impl Found {
     }
 }
 
-/// Says what was found, and which head was written for it, if one was.
+/// Prints the result, and which head file was written for it, if any.
 pub fn conclude(
     focused: &Focused,
     made: Made<'_>,

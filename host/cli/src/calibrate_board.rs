@@ -20,11 +20,11 @@ struct Document<'a> {
     head: &'a Path,
     date: String,
     calibration: &'a CalibrationRecord,
-    /// Root mean square of the distances in both images, as other programs give it.
+    /// Root mean square of the reprojection errors in both images, as other programs state it.
     reprojection_px: Reprojection,
     poses: &'a [PoseReport],
     parameters: &'a [Parameter],
-    /// Of the parameters, row by row in their order.
+    /// Covariance of the parameters, row by row in their order.
     covariance: &'a [Vec<f64>],
     elapsed_ms: Elapsed,
 }
@@ -40,15 +40,15 @@ struct Elapsed {
     total: f64,
 }
 
-/// Where it goes and for how long it counts.
+/// Input and output of the calibration.
 pub struct Order<'a> {
     /// Folder of the poses.
     pub images: &'a Path,
-    /// `board.toml`, if it lies elsewhere.
+    /// `board.toml`, if it is elsewhere.
     pub board: Option<&'a Path>,
     /// The head file.
     pub output: &'a Path,
-    /// Days until it expires.
+    /// Days until the calibration expires.
     pub valid_days: u32,
 }
 

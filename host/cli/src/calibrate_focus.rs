@@ -1,4 +1,4 @@
-//! `flankscope calibrate --focus-series`: the head at a setting of its lens, between those at which it was calibrated.
+//! `flankscope calibrate --focus-series`: the head at a setting of its lens, interpolated between calibrations at other settings.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -84,7 +84,7 @@ pub fn write(
     Ok(record)
 }
 
-/// Computes and writes the head at the setting asked for.
+/// Computes and writes the head at the requested setting.
 pub fn run(
     args: &FocusArgs,
     series: &Path,

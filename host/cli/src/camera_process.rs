@@ -1,4 +1,4 @@
-//! The camera's process, started and ended with the instrument.
+//! The camera process, started and ended together with the instrument.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 
-/// A camera process ends when its standard input does; one that does not is ended after this.
+/// A camera process ends when its standard input is closed; if it does not, it is killed after this time.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// A running camera process.
 pub struct CameraProcess(Child);
 
 impl CameraProcess {
-    /// Starts it with the folder of the shared memory as its last argument; nothing without a command.
+    /// Starts it with the folder of the shared memory as its last argument; `None` without a command.
     pub fn start(command: &[String], root: &Path) -> anyhow::Result<Option<Self>> {
         let [program, arguments @ ..] = command else {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! `flankscope decode`: Fringe images to a point cloud.
+//! `flankscope decode`: fringe images to a point cloud.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -111,11 +111,11 @@ struct Document<'a> {
     rejected: Rejected,
     frames: usize,
     pattern_set: &'a str,
-    /// Whether the uncertainties rest on an assumed sensor.
+    /// Whether the uncertainties are based on assumed sensor properties.
     sensor_assumed: bool,
-    /// Least amplitude of each frequency, low to high, counts per pixel and exposure.
+    /// Smallest amplitude of each frequency, low to high, counts per pixel and exposure.
     min_modulation_dn: &'a [f64],
-    /// By how much frames scatter more than `[sensor]` predicts, in the median; limits and uncertainties are raised by it.
+    /// Median ratio of the frames' noise to that predicted by `[sensor]`; limits and uncertainties are raised by it.
     frame_noise_ratio: f64,
     /// Median contrast of each frequency over the cells with a point, low to high.
     contrast: &'a [f64],
@@ -218,7 +218,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Frames that scatter more than this are worth a word: what a described sensor leaves open is about a tenth.
+/// A noise ratio above this is reported: an imprecise sensor description explains about a tenth.
 const NOTABLE_NOISE_RATIO: f64 = 1.5;
 
 fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {

@@ -55,7 +55,7 @@ enum Metric {
 
 #[derive(Serialize)]
 struct Report {
-    /// Whether material that stands proud counts positive: not of sampled points, nor of a mesh without an outside.
+    /// Whether the sign is defined, positive for proud material: not for sampled points, nor for a mesh without an outside.
     signed: bool,
     orientation: Orientation,
     #[serde(flatten)]

@@ -1,4 +1,4 @@
-//! `flankscope doctor`: what is installed, connected, calibrated, expired.
+//! `flankscope doctor`: what is installed, connected, calibrated and expired.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ use crate::scene::Scene;
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
 
-/// How long a camera process may take to come.
+/// How long a camera process may take to start.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
 
 /// Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.
@@ -132,10 +132,10 @@ fn program() -> Finding {
     Finding::ok("program", format!("flankscope {version}, {bench}"))
 }
 
-/// The tool that was asked for, as far as it could be read.
+/// The requested tool, as far as it could be read.
 struct Looked {
     tool: Option<Tool>,
-    /// Where it lies; a bench needs no more.
+    /// Its folder; a bench needs nothing else.
     folder: Option<PathBuf>,
     finding: Finding,
 }
@@ -202,7 +202,7 @@ impl Args {
         Some(readiness::head(&path, &head, fits, seals))
     }
 
-    /// Controller, stages, press and camera, by the bench where there is one.
+    /// Findings on controller, stages, press and camera, through the bench if there is one.
     fn instrument(&self, site: &Site, bench: &BenchSetup, folder: Option<&Path>) -> Vec<Finding> {
         const ASKED: [&str; 4] = ["controller", "stages", "press", "camera"];
         let unasked = |why: &str| ASKED.map(|check| Finding::not_asked(check, why)).to_vec();
@@ -238,7 +238,7 @@ impl Args {
     }
 }
 
-/// Waits for the camera's first word.
+/// Waits for the first message of the camera.
 fn camera(receiver: &mut FrameReceiver, site: &Site) -> Finding {
     const CHECK: &str = "camera";
     if !site.link().is_simulated() && site.settings.camera.command.is_empty() {

@@ -73,9 +73,9 @@ struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
     u95_um: f64,
-    /// How far a figure must keep from its tolerance.
+    /// Guard band: distance that a deviation must keep from its tolerance.
     guard_um: f64,
-    /// Probability with which it then keeps it.
+    /// Probability of conformity at that distance.
     probability: f64,
     #[serde(flatten)]
     evaluation: &'a GearEvaluation,
@@ -149,7 +149,7 @@ fn print_table(evaluation: &GearEvaluation, judged: Option<(Word, String)>) -> a
     Ok(())
 }
 
-/// What was evaluated, and a line for every quantity.
+/// Writes what was evaluated, and a line for every quantity.
 pub fn write_evaluation(out: &mut impl Write, evaluation: &GearEvaluation) -> std::io::Result<()> {
     writeln!(
         out,

@@ -1,4 +1,4 @@
-//! What the geometry commands share: the CAD and cloud arguments (files by others) and their way of writing.
+//! Common parts of the geometry commands: arguments for CAD and cloud files of other programs, and output.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -89,8 +89,8 @@ impl From<MinkowskiOrder> for Order {
 }
 
 impl CadArgs {
-    /// Loads the mesh and winds its triangles counter-clockwise seen from outside; says so where the file did not, or where that
-    /// cannot be known.
+    /// Loads the mesh and orients its triangles counter-clockwise seen from outside. Prints a note if the file had another
+    /// orientation, or if outside is undefined.
     pub fn load(&self, common: &Common) -> anyhow::Result<Cad> {
         let mut mesh =
             mesh::load(&self.path, self.cad_unit.into()).with_context(|| self.trouble())?;
@@ -104,13 +104,13 @@ impl CadArgs {
         Ok(Cad { mesh, orientation })
     }
 
-    /// How an error about this mesh starts.
+    /// Beginning of error messages about this mesh.
     pub fn trouble(&self) -> String {
         format!("cannot use CAD mesh {}", self.path.display())
     }
 }
 
-/// A CAD mesh, and which side of it is outside.
+/// A CAD mesh, with its outside.
 pub struct Cad {
     pub mesh: TriMesh,
     pub orientation: Orientation,
@@ -121,7 +121,7 @@ pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
     cloud::load(path, unit.into()).with_context(|| format!("cannot use cloud {}", path.display()))
 }
 
-/// The pose that picked pairs give.
+/// The pose from picked pairs of points.
 pub fn pose_of_pairs(path: &Path) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
     let fit = || -> anyhow::Result<_> {
         Ok(fit_pairs(&parse_pairs(
@@ -131,7 +131,7 @@ pub fn pose_of_pairs(path: &Path) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
     fit().with_context(|| format!("cannot use pairs {}", path.display()))
 }
 
-/// Writes a large file whole or not at all.
+/// Writes a large file atomically.
 pub fn write_file(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -140,7 +140,7 @@ pub fn write_file(
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Prints one line about the result, unless it was asked to be quiet or standard output carries the JSON.
+/// Prints one line about the result, unless `--quiet` is given or standard output carries the JSON.
 pub fn tell(common: &Common, line: impl FnOnce() -> String) {
     let json_on_stdout = common.json.as_deref() == Some(Path::new("-"));
     if !common.quiet && !json_on_stdout {

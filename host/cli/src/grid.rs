@@ -13,7 +13,7 @@ pub enum Grid {
 }
 
 impl Grid {
-    /// The head, told to be decoded this way.
+    /// Sets the head's decoding grid.
     pub fn impose(self, head: &mut HeadModel) -> anyhow::Result<()> {
         match self {
             Self::Pixel => head.core_map = None,

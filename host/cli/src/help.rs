@@ -1,4 +1,4 @@
-//! What `--help` says differently where there is a simulated bench to try things on, and where there is none.
+//! Texts of `--help` that differ between builds with and without the simulated bench.
 
 /// A text for builds with the bench, and one for those without.
 macro_rules! text {

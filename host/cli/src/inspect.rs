@@ -21,7 +21,7 @@ use crate::progress::Watcher;
 use crate::site::Site;
 use crate::terminal::Terminal;
 
-/// The example, and what the figures are.
+/// The example, and the definitions of the results.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
     format!(
         "{}\n\n\
@@ -93,7 +93,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             (inspection, Some(instrument))
         }
     };
-    // The verdict stands, and is stored. It is said and returned whatever happens to the papers.
+    // The verdict is final and stored; it is printed and returned even if reports cannot be written.
     if args.common.shows_table() {
         complaints.hear(print_table(&inspection));
     }
@@ -114,7 +114,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
 }
 
-/// What an interrupted check leaves.
+/// What is kept of an interrupted check.
 fn what_is_kept(inspection: &Inspection) -> String {
     let seen = inspection.registration.len();
     let of = inspection.recipe.teeth.len();
@@ -201,10 +201,10 @@ impl Args {
     }
 }
 
-/// Said of every result of the simulated bench.
+/// Stated with every result of the simulated bench.
 pub const SIMULATED: &str = "SIMULATED BENCH: no real die was looked at";
 
-/// A line that says where a result comes from, under its verdict.
+/// Writes a line with the origin of a result, below its verdict.
 pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::io::Result<()> {
     if origin.simulated {
         writeln!(out, "{SIMULATED}")?;
@@ -217,7 +217,7 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
     writeln!(out, "{}", Terminal::of_stdout().sentence(&said))
 }
 
-/// Width of a column of their sides or names.
+/// Width of a column with the sides or names of parts.
 pub fn widest<'a>(parts: impl Iterator<Item = &'a FeatureId>) -> usize {
     parts
         .map(|id| id.side().chars().count())
@@ -226,7 +226,7 @@ pub fn widest<'a>(parts: impl Iterator<Item = &'a FeatureId>) -> usize {
         .max(6)
 }
 
-/// The figures of every flank, within 80 columns; then why one is no go.
+/// Prints the results of every flank, within 80 columns; then the reasons of those that are not "go".
 fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     let terminal = Terminal::of_stdout();
     let mut out = std::io::stdout().lock();
@@ -305,10 +305,10 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A verdict and its reason, as a terminal can show them.
+/// A verdict and its reason, as the terminal can display them.
 pub fn in_words(terminal: Terminal, verdict: Word, reason: &str) -> String {
     let word = verdict.as_str().to_uppercase();
     let said = terminal.sentence(&format!("{word}: {reason}"));
-    // Wrapped without the colour's signs, which take no column.
+    // Wrapped without colour codes, which take no column.
     said.replacen(&word, &terminal.in_colour(verdict, &word), 1)
 }

@@ -1,4 +1,4 @@
-//! What `inspect`, `watch` and `scan` share: which tool, which head, which controller, and the simulated bench in between.
+//! Common parts of `inspect`, `watch` and `scan`: tool, head, controller, and the simulated bench.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,7 +60,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// Makes a subject of what is looked at: temperature and baseline as asked for.
+    /// Sets the temperature and baseline of a subject by the options.
     fn furnish(&self, subject: &mut Subject, link: &Link) -> anyhow::Result<()> {
         subject.temperature_degc = self.tool_temperature.or(subject.temperature_degc);
         if let Some(path) = &self.baseline {
@@ -72,7 +72,7 @@ impl Source {
         Ok(())
     }
 
-    /// Where checks are stored, if anywhere.
+    /// Path of the history, if checks are stored.
     fn store<'a>(&'a self, site: &'a Site) -> anyhow::Result<Option<&'a PathBuf>> {
         let store = self.history.as_ref();
         let store = store.or(site.settings.history.file.as_ref());
@@ -83,7 +83,7 @@ impl Source {
         Ok(store)
     }
 
-    /// What stores the checks of a subject in the history at `path`.
+    /// The writer that stores the checks of a subject in the history at `path`.
     fn writer(&self, path: &Path, site: &Site, subject: &Subject) -> anyhow::Result<HistoryWriter> {
         let history = History::open(path, &subject.seals)?;
         history.takes_head(&subject.head_id())?;
@@ -107,7 +107,7 @@ impl Source {
         Ok(opened)
     }
 
-    /// Where it is looked.
+    /// The site of this instrument.
     pub fn site(&self) -> anyhow::Result<Site> {
         self.place.site(&[
             ("--tool", self.tool.is_some()),
@@ -116,7 +116,7 @@ impl Source {
     }
 }
 
-/// The files that make a head.
+/// The files of a head.
 struct HeadFiles {
     head: PathBuf,
     cores: Option<PathBuf>,
@@ -130,7 +130,7 @@ impl HeadFiles {
         if check.exists() {
             files.push((check, name.with_extension("check.toml")));
         }
-        // An absolute path stays as good as it is.
+        // An absolute path stays valid.
         if let Some(cores) = self.cores.as_ref().filter(|cores| cores.is_relative()) {
             files.push((self.head.with_file_name("").join(cores), cores.clone()));
         }
@@ -145,15 +145,15 @@ impl HeadFiles {
     }
 }
 
-/// A job with its threads running, and the controller's port.
+/// A job with running threads, and the controller's port.
 pub struct Instrument<J = Job<ViewOutcome>> {
-    /// The job: a check unless said otherwise.
+    /// The job; by default a check.
     pub job: J,
     /// The controller's port.
     pub port: PathBuf,
-    /// How patiently to talk to it.
+    /// Timeouts of the client.
     pub settings: ClientSettings,
-    /// Where one was read.
+    /// The head's files, if they were read.
     head: Option<HeadFiles>,
     bench: Option<Bench>,
     _camera: Option<CameraProcess>,
@@ -162,8 +162,8 @@ pub struct Instrument<J = Job<ViewOutcome>> {
 }
 
 impl Instrument {
-    /// Reads tool and head, starts a check, then the bench or nothing; also returns what stores the checks, if
-    /// that was asked for.
+    /// Reads tool and head, and starts a check and the bench, if there is one. Also returns the writer that stores the checks, if
+    /// requested.
     pub fn open(
         source: &Source,
         site: &Site,
@@ -209,7 +209,7 @@ impl Instrument {
     }
 }
 
-/// A check of recorded frames, and what stores it, if that was asked for: tool and head are read, and no instrument starts.
+/// A check of recorded frames, and the writer that stores it, if requested: reads tool and head, starts no instrument.
 pub fn recorded_check(
     source: &Source,
     recording: &Recording,
@@ -236,7 +236,7 @@ pub fn recorded_check(
     Ok((check, frames, writer))
 }
 
-/// What a recording is of: tool and head by their options, else the head that it `names` before the tool folder's.
+/// Subject of a recording: tool and head by their options, else the head that the recording `names`, else the tool folder's.
 pub fn recorded_subject(
     [tool, head]: [Option<&Path>; 2],
     names: Option<PathBuf>,
@@ -251,9 +251,9 @@ pub fn recorded_subject(
 }
 
 impl<J> Instrument<J> {
-    /// Reads tool and head, starts what `job` makes of them, then the bench or nothing.
+    /// Reads tool and head, and starts the job that `job` makes of them, then the bench, if there is one.
     ///
-    /// The files are the tool's folder and a head file instead of the one in it.
+    /// `files` are the tool's folder, and a head file used instead of the one in it.
     pub fn start(
         [tool, head]: [Option<&Path>; 2],
         site: &Site,
@@ -280,7 +280,7 @@ impl<J> Instrument<J> {
         })
     }
 
-    /// Starts what `job` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
+    /// Starts the job that `job` makes for the shared memory of the frames, then the bench with the contents of `folder`, if there is one.
     pub fn before(
         folder: &Path,
         site: &Site,
@@ -291,7 +291,7 @@ impl<J> Instrument<J> {
         job: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<J>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
-        // The services must be there when the camera process comes.
+        // The shared-memory services must exist when the camera process connects.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let job = job(Arc::clone(&root))?;
         let Link::Port(port) = link else {
@@ -325,13 +325,13 @@ impl<J> Instrument<J> {
         })
     }
 
-    /// Copies the head's file, and what belongs to it, into the folder of a recording; returns its name there.
+    /// Copies the head file and its further files into the folder of a recording; returns its name there.
     pub fn copy_head(&self, recording: &Path) -> anyhow::Result<PathBuf> {
         let files = self.head.as_ref().context("no head was read")?;
         files.copy_to(recording)
     }
 
-    /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
+    /// Ends it. For a simulated bench, returns the true values, and prints a note if the bench did not keep up with real time.
     pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
         drop(self.job);
         let Some(bench) = self.bench else {
@@ -345,8 +345,7 @@ impl<J> Instrument<J> {
     }
 }
 
-/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's, before the instrument of a station's
-/// file.
+/// Reads tool and head from a folder, or those of the demo; `head` replaces the folder's. The instrument is that of a station's file.
 pub fn subject(
     tool: Option<&Path>,
     head: Option<&Path>,
@@ -361,7 +360,7 @@ pub fn subject(
     Ok(subject)
 }
 
-/// Refuses options of a bench where there is none.
+/// Refuses options of the bench if there is none.
 pub fn fits_bench(bench: &BenchSetup, site: &Site) -> anyhow::Result<()> {
     match site.link() {
         link if link.is_simulated() => Ok(()),
@@ -369,7 +368,7 @@ pub fn fits_bench(bench: &BenchSetup, site: &Site) -> anyhow::Result<()> {
     }
 }
 
-/// Says before anything moves which station, tool and head these are.
+/// Prints before anything moves which station, tool and head are used.
 fn announce(site: &Site, subject: &Subject, head: &Path, scratch: &Path) {
     let from = |path: &Path| match path.starts_with(scratch) {
         true => "built in".into(),
@@ -389,7 +388,7 @@ fn announce(site: &Site, subject: &Subject, head: &Path, scratch: &Path) {
     ));
 }
 
-/// The settings, and the client ends what it does when somebody interrupts the program.
+/// Adds the interrupt to the settings: the client ends its work when the user interrupts the program.
 fn interrupted(settings: ClientSettings) -> anyhow::Result<ClientSettings> {
     Ok(ClientSettings {
         interrupt: interrupt::on_signals()?,
@@ -397,12 +396,12 @@ fn interrupted(settings: ClientSettings) -> anyhow::Result<ClientSettings> {
     })
 }
 
-/// The folder that was named, else the demo's.
+/// The named folder, else the demo's.
 pub fn tool_folder(named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
     named.map_or_else(|| demo_tool(scratch), |folder| Ok(folder.to_path_buf()))
 }
 
-/// Reads tool and head, stands the site's instrument before them, and says which they are; also returns the head's file.
+/// Reads tool and head, assigns them to the site's instrument, and prints them; also returns the path of the head file.
 fn standing(
     folder: &Path,
     head: Option<&Path>,
@@ -419,7 +418,7 @@ fn standing(
     Ok((subject, head_path))
 }
 
-/// Reads tool and head, and hashes what was read; also returns the head's file.
+/// Reads tool and head, and hashes the files; also returns the path of the head file.
 fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(Subject, PathBuf)> {
     let tool = Tool::load(folder)?;
     let head_path = head_path(&tool, head, scratch)?;
@@ -462,7 +461,7 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(S
     Ok((subject, head_path))
 }
 
-/// A scan that a tool file names as its die when new is believed as any other result of a scan.
+/// Verifies the scan that a tool file names as the die's shape when new.
 fn believe_as_built(tool: &Tool, seals: &Seals) -> anyhow::Result<()> {
     let inspect = tool.inspect.as_ref();
     let Some(scan) = inspect.and_then(|inspect| inspect.as_built_scan.as_ref()) else {
@@ -480,12 +479,12 @@ fn believe_as_built(tool: &Tool, seals: &Seals) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The station's key, made at first use. Where it has no place, a key of this run alone: a check goes on, but nobody believes
-/// later what it signed.
+/// The station's key, created at first use. If no folder is known for it, a key of this run only: the check goes on, but its
+/// signatures cannot be verified later.
 pub fn seals() -> anyhow::Result<Seals> {
     let error = match Seals::default_folder().and_then(|folder| Seals::open(&folder)) {
         Ok(seals) => return Ok(seals),
-        // Whose key may be known to others should hear of it, and not go on without.
+        // If other users may know the key, the program reports it and stops.
         Err(error @ SealError::KeyOpen { .. }) => return Err(error.into()),
         Err(error) => error,
     };
@@ -495,7 +494,7 @@ pub fn seals() -> anyhow::Result<Seals> {
     Ok(Seals::passing()?)
 }
 
-/// The head's file: the one named, else the one in the tool's folder, else the demo's.
+/// Path of the head file: the one named, else the one in the tool's folder, else the demo's.
 pub fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
     if let Some(head) = named {
         return Ok(head.to_path_buf());
@@ -504,11 +503,11 @@ pub fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::R
     if beside.exists() {
         return Ok(beside);
     }
-    // A tool folder may leave the head out: the demo head then looks at it.
+    // A tool folder may lack a head file: the demo head is then used.
     Ok(demo_tool(scratch)?.join("head.toml"))
 }
 
-/// A folder of this run alone, gone afterwards, in which nobody else can have made anything.
+/// A temporary folder of this run, removed afterwards, which other users cannot write to.
 pub fn scratch() -> anyhow::Result<RunFolder> {
     Ok(RunFolder::create(&default_base()?)?)
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM. The first lets the head come out and keeps what was measured; the second ends the program at once.
+//! Ctrl-C and SIGTERM. The first signal retracts the head and keeps the measurements; the second ends the program at once.
 
 use std::sync::OnceLock;
 use std::thread;
@@ -11,15 +11,16 @@ use signal_hook::iterator::Signals;
 
 use crate::output::say;
 
-/// Exit code of a program that somebody interrupted: what a shell makes of SIGINT.
+/// Exit code of an interrupted program, as shells report SIGINT.
 pub const EXIT_CODE: u8 = 130;
-/// A head takes a second to come out, and a view as long to be evaluated. Who was asked to end is gone by then, done or not: a
-/// controller that hears nothing retracts by itself.
+/// A head takes a second to retract, and a view as long to be evaluated. The program then ends even if that is not complete:
+/// without heartbeats, the controller retracts by itself.
 const PATIENCE: Duration = Duration::from_millis(2500);
 
 static INTERRUPT: OnceLock<Interrupt> = OnceLock::new();
 
-/// What tells the instrument of the first signal. From here on signals do not end the program by themselves.
+/// Installs the handlers and returns the interrupt that reports the first signal. From here on signals do not end the program by
+/// themselves.
 pub fn on_signals() -> anyhow::Result<Interrupt> {
     if let Some(interrupt) = INTERRUPT.get() {
         return Ok(interrupt.clone());
@@ -44,7 +45,7 @@ pub fn on_signals() -> anyhow::Result<Interrupt> {
     Ok(INTERRUPT.get_or_init(|| interrupt).clone())
 }
 
-/// Whether there was a signal.
+/// Whether a signal was received.
 pub fn is_requested() -> bool {
     INTERRUPT.get().is_some_and(Interrupt::is_requested)
 }

@@ -1,4 +1,4 @@
-//! The `flankscope` command: arguments in, exit code out, nothing else.
+//! The `flankscope` command: parses arguments and returns the exit code, nothing else.
 //!
 //! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn · 130 interrupted.
 
@@ -85,11 +85,11 @@ enum Command {
     Bench(bench_link::Command),
 }
 
-/// Options that every command has: said in one line of each command's help, described by `flankscope --help`.
+/// Options common to all commands: one line in each command's help, described by `flankscope --help`.
 const COMMON_OPTIONS: &str = "Every command takes --json FILE, the result as JSON (- for standard output), --quiet or -q, no progress and no \
     table, and --help.";
 
-/// The commands as somebody types them. Options of every command are in no list of options; man pages and completions have them.
+/// The commands with their options. The common options are hidden in help; man pages and completions list them.
 fn commands() -> clap::Command {
     let help = Arg::new("help").short('h').long("help");
     let help = help.help("Print help").action(ArgAction::Help).hide(true);
@@ -114,7 +114,7 @@ fn main() -> ExitCode {
     let cli = match given.and_then(|given| Cli::from_arg_matches(&given)) {
         Ok(cli) => cli,
         Err(error) => {
-            // clap exits 2 on a usage error, which here means "indeterminate": bad arguments are "could not run".
+            // clap exits with 2 on a usage error, which here means "indeterminate"; bad arguments are "could not run" (3).
             let _ = error.print();
             return if error.use_stderr() {
                 Outcome::CouldNotRun.into()
@@ -132,7 +132,7 @@ fn main() -> ExitCode {
         .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .without_time()
-        // A standard error that is full must not end a check.
+        // A full standard error must not end a check.
         .log_internal_errors(false)
         .finish()
         .with(filter)

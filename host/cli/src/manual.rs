@@ -1,4 +1,4 @@
-//! `flankscope manual`: man pages and shell completions, from the commands themselves.
+//! `flankscope manual`: man pages and shell completions, generated from the command definitions.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! What stands in for the simulated bench in a build without it: no options, and a refusal.
+//! Replacement of the simulated bench in a build without it: no options, and a refusal.
 
 use std::path::{Path, PathBuf};
 
@@ -59,22 +59,22 @@ pub fn setup_with_press(_: &DieArgs, _: &WearRateArgs) -> anyhow::Result<BenchSe
     Ok(BenchSetup)
 }
 
-/// Seed of what the host itself draws.
+/// Seed of the random numbers that the host itself draws.
 pub fn seed(_: &BenchSetup) -> u64 {
     1
 }
 
-/// A real press cannot be asked for anything else.
+/// A build without the bench has no such options, so nothing is refused.
 pub fn fits_real_press(_: &BenchSetup, _: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Recorded frames cannot be asked for anything else either.
+/// A build without the bench has no such options, so nothing is refused.
 pub fn fits_recording(_: &BenchSetup) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Nothing stands on no bench.
+/// Empty, because there is no bench.
 pub fn in_words(_: &BenchSetup) -> String {
     String::new()
 }

@@ -1,4 +1,4 @@
-//! What every subcommand shares on its way out: the exit code and the `--json` document.
+//! Common output of all subcommands: the exit code and the `--json` document.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,16 +14,16 @@ use crate::terminal::Terminal;
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// What was asked for was produced; nothing was judged.
+    /// The requested output was produced; nothing was judged.
     Done,
-    /// Something was judged.
+    /// A verdict was reached.
     Verdict(Word),
     /// Bad arguments, no link, unreadable file.
     CouldNotRun,
 }
 
 impl Outcome {
-    /// What was asked for has no sound answer.
+    /// The request has no reliable answer.
     pub const INDETERMINATE: Self = Self::Verdict(Word::Indeterminate);
 }
 
@@ -49,12 +49,12 @@ pub struct Common {
 }
 
 impl Common {
-    /// Whether a table goes to standard output.
+    /// Whether a table is printed on standard output.
     pub fn shows_table(&self) -> bool {
         !self.quiet && self.json.as_deref() != Some(Path::new("-"))
     }
 
-    /// Tries whether the JSON document will have a place, before anything moves.
+    /// Checks before anything moves that the JSON document can be written.
     pub fn try_json(&self) -> anyhow::Result<()> {
         match &self.json {
             Some(path) if path != Path::new("-") => try_place(path).context("--json"),
@@ -62,12 +62,12 @@ impl Common {
         }
     }
 
-    /// Where the JSON document of a result goes, if one was asked for.
+    /// Destination of the JSON document, if one was requested.
     pub fn document(&self) -> Option<DocumentFile> {
         self.json.as_deref().map(DocumentFile::new)
     }
 
-    /// Writes the JSON document, if one was asked for.
+    /// Writes the JSON document, if one was requested.
     pub fn write_json<T: serde::Serialize>(&self, document: &T) -> anyhow::Result<()> {
         let Some(path) = &self.json else {
             return Ok(());
@@ -85,7 +85,7 @@ impl Common {
     }
 }
 
-/// Writes a file whole or not at all: beside its place first, then renamed.
+/// Writes a file atomically: to a temporary name in its folder first, then renamed.
 ///
 /// # Errors
 /// Names the path when it cannot be written (missing folder, no permission, disk full); the old file, if any, is then untouched.
@@ -94,7 +94,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Tries whether a file can be written later, before anything moves; an older one there stays as it is.
+/// Checks before anything moves that a file can be written later; an existing one is not changed.
 ///
 /// # Errors
 /// Names the path and why it cannot be written.
@@ -103,7 +103,7 @@ pub fn try_place(path: &Path) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Makes a folder for results and tries whether these files of it can be written, before anything moves.
+/// Creates a folder for results and checks before anything moves that these files in it can be written.
 ///
 /// # Errors
 /// Names the path and why it cannot be made or written.
@@ -115,7 +115,7 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
         .try_for_each(|file| try_place(&folder.join(file)))
 }
 
-/// Makes a folder for reports and tries its places.
+/// Creates a folder for reports and checks that its files can be written.
 ///
 /// # Errors
 /// As [`try_folder`].
@@ -127,11 +127,11 @@ pub fn try_report(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     try_place(&pages.join("page.html"))
 }
 
-/// An error with its causes, each once: many name their cause themselves.
+/// An error with its causes, each once: many errors repeat their cause in their own text.
 pub fn in_words(error: &anyhow::Error) -> String {
     let mut words = String::new();
     for cause in error.chain().map(ToString::to_string) {
-        // A file's name may have lines of its own.
+        // A file name may contain line breaks.
         let cause = cause.replace('\n', "\\n");
         if !words.contains(&cause) {
             if !words.is_empty() {
@@ -143,11 +143,11 @@ pub fn in_words(error: &anyhow::Error) -> String {
     words
 }
 
-/// Tries a folder for recorded frames or clouds, named by `index`, which must not hold any: one recording would be read as the
-/// other.
+/// Checks a folder for recorded frames or clouds, named by `index`, which must not exist yet or be empty: otherwise one recording
+/// would be mistaken for another.
 ///
 /// # Errors
-/// As [`try_folder`], or there is something in it.
+/// As [`try_folder`], or the folder is not empty.
 pub fn try_recording(folder: &Path, index: &str) -> anyhow::Result<()> {
     try_folder(folder, &[index])?;
     let mut entries =
@@ -160,7 +160,7 @@ pub fn try_recording(folder: &Path, index: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Says something on standard error; that nobody can hear it stops nothing.
+/// Prints on standard error; a failure to print is ignored.
 pub fn say(text: &str) {
     let _ = writeln!(
         std::io::stderr(),
@@ -169,24 +169,23 @@ pub fn say(text: &str) {
     );
 }
 
-/// What went wrong on paper once a verdict stood. It changes neither the verdict nor the exit code, and keeps no other
-/// paper back.
+/// Errors of writing reports after the verdict. They change neither the verdict nor the exit code, and do not prevent further reports.
 #[derive(Debug, Default)]
 pub struct Complaints(Vec<anyhow::Error>);
 
 impl Complaints {
-    /// Keeps what went wrong; hands over what did not.
+    /// Collects an error; returns the value of a success.
     pub fn hear<T>(&mut self, result: anyhow::Result<T>) -> Option<T> {
         result.map_err(|error| self.0.push(error)).ok()
     }
 
-    /// Hands a result to a sink.
+    /// Writes a result to a sink and collects its error.
     pub fn hear_of<R>(&mut self, mut sink: impl ResultSink<R>, result: &mut R) {
         self.hear(sink.put(result).map_err(Into::into));
     }
 
-    /// Complains on standard error, with the verdict and its reason for those who have only that; why nothing can be said is
-    /// said in any case. Returns the verdict's outcome.
+    /// Prints the collected errors on standard error, with the verdict and its reason for users who see only that. Prints in any
+    /// case why a verdict could not be printed. Returns the verdict's outcome.
     pub fn end(self, verdict: Word, sentence: &str, quiet: bool) -> Outcome {
         for error in &self.0 {
             say(&format!("error: {}", in_words(error)));

@@ -1,4 +1,4 @@
-//! Settings of the article's method: the option of `scan` and `article` that names their file.
+//! Settings of the article's method: an option of `scan` and `article` that names their file.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ pub struct ArticleSettings {
 }
 
 impl ArticleSettings {
-    /// The file's settings; what is drawn, by `seed`.
+    /// The settings in the file, with `seed` for random numbers.
     pub fn load(&self, seed: u64) -> anyhow::Result<Hinz2019Settings> {
         let file = self.article_settings.as_deref();
         let file = file.map(Hinz2019Settings::load).transpose()?;

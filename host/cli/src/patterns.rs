@@ -125,7 +125,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Images for the passes of one view.
+/// Pictures for the passes of one view.
 fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
     let tool = Tool::load(folder)?;
     let head = args.head()?;
@@ -162,7 +162,7 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// What was written, and what a view takes with it.
+/// Prints what was written, and the capture time of a view with it.
 fn told(written: &Adaptive, output: &Path) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     for pass in &written.passes {

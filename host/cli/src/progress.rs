@@ -1,4 +1,4 @@
-//! How far a run is, on standard error.
+//! Progress of a run, on standard error.
 
 use std::time::Instant;
 
@@ -6,18 +6,18 @@ use flankscope_instrument::acquisition::Progress;
 
 use crate::output::say;
 
-/// Tells how far a run is, a line for every step.
+/// Prints the progress of a run, a line for every step.
 pub struct Watcher {
     quiet: bool,
     start: Instant,
-    /// What the views are called.
+    /// Names of the views.
     names: Vec<String>,
-    /// The view at which the head is.
+    /// The view that the head is at.
     at: usize,
 }
 
 impl Watcher {
-    /// Silent if `quiet`. `names` are those of the views of the plan; where they have none they are counted.
+    /// Silent if `quiet`. `names` are those of the plan's views; views without a name are numbered.
     pub fn new(quiet: bool, names: Vec<String>) -> Self {
         Self {
             quiet,
@@ -27,7 +27,7 @@ impl Watcher {
         }
     }
 
-    /// Tells of a step.
+    /// Prints a step.
     pub fn show(&mut self, progress: Progress) {
         if self.quiet {
             return;

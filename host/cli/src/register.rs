@@ -1,4 +1,4 @@
-//! `flankscope register`: A cloud laid on a CAD mesh, or on another cloud.
+//! `flankscope register`: registers a cloud to a CAD mesh, or to another cloud.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -23,7 +23,7 @@ use crate::geometry::{
 };
 use crate::output::{Common, Outcome};
 
-/// Poses one pitch apart look alike when the CAD repeats within this, mm.
+/// Tolerance of the CAD's periodicity for poses one pitch apart to count as alike, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
 /// A cloud laid on a CAD mesh, or on another cloud.
@@ -119,9 +119,9 @@ struct Report {
     rms_mm: Option<f64>,
     /// Unit vectors (rotation x, y, z times `arm_mm`; translation x, y, z), weakest first.
     weak_directions: Vec<[f64; 6]>,
-    /// For each weak direction the prior's share in what is known along it.
+    /// For each weak direction, the prior's fraction of the information along it.
     weak_prior_share: Vec<f64>,
-    /// For each weak direction its standard deviation from the points alone; null when they say nothing.
+    /// For each weak direction, its standard deviation from the points alone; null if they give no information.
     weak_sigma_mm: Vec<Option<f64>>,
     centre_mm: [f64; 3],
     arm_mm: f64,
@@ -137,7 +137,7 @@ struct Elapsed {
 }
 
 impl Elapsed {
-    /// Between start, loaded, prepared and done.
+    /// Durations of loading, preparation and registration.
     fn between(at: [Instant; 4]) -> Self {
         Self {
             load: milliseconds(at[0], at[1]),
@@ -162,7 +162,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     if let Status::Indeterminate(reason @ RegistrationFailure::TooFewPoints { .. }) = &found.status
     {
-        // Not a doubtful result but an input that cannot be worked with.
+        // Not a doubtful result, but an unusable input.
         bail!("cloud {} has {reason}", args.cloud.display());
     }
 
@@ -176,7 +176,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             .collect();
         let laid = CloudFile {
             points: flankscope_metrology::io::cloud::FinitePoints::new(points)?,
-            // Turned coordinates are no longer the file's rounded ones.
+            // Rotated coordinates are no longer rounded as in the file, so they are written in double precision.
             coordinate: Scalar::F64,
             extras: cloud.extras,
         };
@@ -194,7 +194,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     })
 }
 
-/// A registration, and what went with it.
+/// A registration with its inputs.
 struct Laid {
     cloud: CloudFile,
     found: Registration,
@@ -209,7 +209,7 @@ impl Args {
         let initial = self.start_pose()?;
         let loaded = Instant::now();
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
-        // Most often the teeth point inwards; a body of revolution inside says that they do not.
+        // By default teeth point inwards; a body of revolution inside the CAD shows that they point outwards.
         let found = || {
             [GearKind::Internal, GearKind::External]
                 .into_iter()
@@ -243,7 +243,7 @@ impl Args {
         let loaded = Instant::now();
         let surface = CloudSurface::new(&other.points, self.noise_mm)
             .with_context(|| format!("cannot use cloud {}", reference.display()))?;
-        // A part of a ring does not show how often the whole one repeats.
+        // A part of a ring does not show the number of teeth of the whole.
         let options = self.options(initial, self.teeth);
         let prepared = Instant::now();
         let found = register(&surface, &cloud.points, None, &options);
@@ -279,7 +279,7 @@ impl Args {
     }
 }
 
-/// A pose is a bare matrix or any document of ours that has one.
+/// A pose is a bare matrix, or a document with a pose.
 #[derive(serde::Deserialize)]
 #[serde(untagged)]
 enum PoseFile {
@@ -289,7 +289,7 @@ enum PoseFile {
 
 fn read_pose(path: &Path) -> anyhow::Result<Rigid<Tool, Cloud>> {
     let text = flankscope_foundation::files::read_text(path)?;
-    // First as any JSON, so that a slip in the syntax is named by line and column.
+    // Parsed as generic JSON first, so that a syntax error is reported with line and column.
     let value: serde_json::Value = serde_json::from_str(&text)?;
     let pose: PoseFile = serde_json::from_value(value).map_err(|_| {
         anyhow::anyhow!("no pose in it; right would be [[r,r,r,x],[r,r,r,y],[r,r,r,z],[0,0,0,1]] or {{\"tool_from_cloud\": [[...]]}}, mm")

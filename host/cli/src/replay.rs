@@ -1,4 +1,4 @@
-//! `flankscope replay`: a stored verdict, computed again.
+//! `flankscope replay`: computes a stored verdict again.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     })
 }
 
-/// Every check; one whose phasors were given up is still compared with its own row.
+/// Replays every check; one whose phasors were deleted is only compared with its own row.
 fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outcome> {
     let (mut replayed, mut given_up) = (0, 0);
     let mut differing = BTreeMap::new();

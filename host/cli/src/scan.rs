@@ -1,4 +1,4 @@
-//! `flankscope scan`: the whole die, view by view, to one map.
+//! `flankscope scan`: the whole die, view by view, merged into one map.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -127,7 +127,7 @@ enum MethodName {
 }
 
 impl Args {
-    /// How the views are stitched, and the settings of the article's method.
+    /// Stitching method, and the settings of the article's method.
     fn stitching(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
@@ -142,7 +142,7 @@ impl Args {
     }
 }
 
-/// What stands on the simulated bench: a scan that goes on must find the same there.
+/// Settings of the simulated bench, which must be the same when a scan is continued.
 fn on_the_bench(link: &Link, bench: &BenchSetup) -> BTreeMap<String, String> {
     let what_stands = || (Article::BENCH.to_string(), in_words(bench));
     link.is_simulated().then(what_stands).into_iter().collect()
@@ -238,7 +238,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             scan
         }
     };
-    // The verdict stands. It is said and returned whatever happens to the papers.
+    // The verdict is final; it is printed and returned even if reports cannot be written.
     if args.report.is_some() || args.raster {
         let compared = scanning.scanner().compare(&mut scan, args.raster);
         complaints.hear(compared.map_err(Into::into));
@@ -259,7 +259,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Scanning::Live(instrument) = scanning {
         scan.truth = complaints.hear(instrument.close(quiet)).flatten();
     }
-    // The reference of later scans.
+    // Signed, because it may be the reference of later scans.
     scan.seal = complaints.hear(seal(&scan));
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
@@ -270,13 +270,13 @@ fn seal(scan: &Scan) -> anyhow::Result<Seal> {
     Ok(seals()?.seal(Kind::Scan, scan)?)
 }
 
-/// What is scanned.
+/// Source of the scan.
 enum Scanning {
-    /// A die before the instrument.
+    /// A die in front of the instrument.
     Live(Box<Instrument<Scanner>>),
-    /// Frames that were recorded.
+    /// Recorded frames.
     Recorded(Box<Scanner>, RecordedFrames),
-    /// Clouds that were recorded.
+    /// Recorded clouds.
     Clouds(Box<CloudScan>),
 }
 
@@ -348,13 +348,13 @@ impl Args {
         Ok(Scanning::Clouds(Box::new(clouds)))
     }
 
-    /// What a recording is of that names this head.
+    /// Subject of a recording that names this head.
     fn recorded_subject(&self, head: Option<PathBuf>, site: &Site) -> anyhow::Result<Subject> {
         let files = [self.tool.as_deref(), self.head.as_deref()];
         recorded_subject(files, head, site, self.common.quiet)
     }
 
-    /// Has frames written from here on, if that was asked for; returns where to, and the head's file there.
+    /// Starts writing frames, if requested; returns their folder, and the head file in it.
     fn begin_saving(
         &self,
         instrument: &mut Instrument<Scanner>,

@@ -1,4 +1,4 @@
-//! The scene on the simulated bench: what stands there beside the die, and whether the press strokes.
+//! The scene on the simulated bench: die or target, and whether the press runs.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Where it is looked, and for whom; and what a real press demands before anything is believed or moved.
+//! The site of a measurement: station, link and operator; and what a real press requires before a file is used or anything moves.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,13 +26,13 @@ pub struct Place {
 }
 
 impl Place {
-    /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
-    /// built-in demo any more, and the link must have been named, here or in the station's file.
+    /// The site. `real` are options that exclude the built-in demo, each with its name and whether it was given. With one of
+    /// them, the link must be named, here or in the station file.
     pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
         let (file, settings, hash) = self.file()?;
         let in_file = settings.controller.link.as_deref().map(str::parse);
         let in_file = in_file.transpose().context("controller.link")?;
-        // A station's file is of an instrument at a press, and may name a history.
+        // A station file belongs to an instrument at a press, and may name a history.
         let of_station = [("--station", file.is_some())];
         let given = real.iter().chain(&of_station).find(|(_, given)| *given);
         let link = match (self.link.clone().or(in_file), given) {
@@ -46,7 +46,7 @@ impl Place {
         Ok(self.at(link, settings, hash))
     }
 
-    /// The site of what was recorded: there is no controller, whatever the station's file says of one.
+    /// The site of a recording: no controller is used, even if the station file names one.
     pub fn of_recording(&self, recorded: Link) -> anyhow::Result<Site> {
         if let Some(link) = &self.link {
             anyhow::bail!(
@@ -57,7 +57,7 @@ impl Place {
         Ok(self.at(recorded, settings, hash))
     }
 
-    /// The station's file, if it has one, what it says, and its hash.
+    /// Path of the station file, if any, its settings, and its hash.
     fn file(&self) -> anyhow::Result<(Option<&Path>, StationSettings, Option<String>)> {
         let file = self.station.as_deref().filter(|text| is_file(text));
         let file = file.map(Path::new);
@@ -82,14 +82,14 @@ impl Place {
     }
 }
 
-/// Whether what names a station is its file.
+/// Whether the name of a station is the path of its file.
 fn is_file(station: &str) -> bool {
     Path::new(station)
         .extension()
         .is_some_and(|is| is == "toml")
 }
 
-/// What a station's file says, and its hash; without one, what holds without.
+/// Settings and hash of a station file; the defaults without one.
 pub fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Option<String>)> {
     let Some(path) = file else {
         return Ok((StationSettings::default(), None));
@@ -103,18 +103,18 @@ pub fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Opt
     Ok((settings, Some(flankscope_foundation::files::hash(&bytes))))
 }
 
-/// Where it is looked, for whom, and with what instrument.
+/// Station, link, operator and instrument.
 pub struct Site {
     /// Link, station and operator.
     pub setting: Setting,
-    /// The instrument.
+    /// Settings of the instrument.
     pub settings: Arc<StationSettings>,
-    /// BLAKE3 of its file, if it has one.
+    /// BLAKE3 of the station file, if there is one.
     hash: Option<String>,
 }
 
 impl Site {
-    /// Refuses a station whose head is carried by somebody else, for `what` needs its own stages.
+    /// Refuses a station whose head is moved by an external positioner, because `what` needs the station's own stages.
     pub fn with_own_stages(self, what: &str) -> anyhow::Result<Self> {
         anyhow::ensure!(
             self.settings.stages.moves != Moves::Outside,
@@ -124,12 +124,12 @@ impl Site {
         Ok(self)
     }
 
-    /// Through which link.
+    /// The link to the controller.
     pub fn link(&self) -> &Link {
         &self.setting.link
     }
 
-    /// Station and link, for people.
+    /// Station and link, for display.
     pub fn words(&self) -> String {
         let Setting {
             link,
@@ -145,10 +145,10 @@ impl Site {
         format!("station  {station}, link {link} ({what}), operator {operator}")
     }
 
-    /// A real die is judged by a tool file of its own, never by what is built in.
+    /// Requires a tool file for a real die, which must not be judged by the built-in one.
     ///
     /// # Errors
-    /// There is a real press, and no tool was named.
+    /// The link is a real press, and no tool was named.
     pub fn demands_tool(&self, tool: Option<&Path>) -> anyhow::Result<()> {
         let link = self.link();
         anyhow::ensure!(
@@ -159,11 +159,11 @@ impl Site {
         Ok(())
     }
 
-    /// As [`Site::demands_tool`], and a head of its own. The files are the tool's folder and a head file instead of the one in
-    /// it.
+    /// As [`Site::demands_tool`], and requires a head file. The arguments are the tool's folder, and a head file used instead of
+    /// the one in it.
     ///
     /// # Errors
-    /// There is a real press, and one of them was not named.
+    /// The link is a real press, and one of them was not named.
     pub fn demands(&self, [tool, head]: [Option<&Path>; 2]) -> anyhow::Result<()> {
         self.demands_tool(tool)?;
         let (link @ Link::Port(_), Some(folder)) = (self.link(), tool) else {
@@ -178,10 +178,10 @@ impl Site {
         Ok(())
     }
 
-    /// A head is calibrated with a target of its own.
+    /// Requires a target file for calibrating a head at a real press.
     ///
     /// # Errors
-    /// There is a real press, and no target was named.
+    /// The link is a real press, and no target was named.
     pub fn demands_target(&self, target: Option<&Path>) -> anyhow::Result<()> {
         let link = self.link();
         anyhow::ensure!(
@@ -192,11 +192,10 @@ impl Site {
         Ok(())
     }
 
-    /// A head that was calibrated on the simulated bench knows nothing of a real press, and there one that was never
-    /// calibrated knows nothing at all.
+    /// Requires a calibrated head for a real press. A calibration on the simulated bench does not count there.
     ///
     /// # Errors
-    /// There is a real press, and this head is not calibrated for one.
+    /// The link is a real press, and this head is not calibrated for one.
     pub fn takes_head(&self, head: &HeadModel) -> anyhow::Result<()> {
         let link = self.link();
         let made = head.calibration.as_ref();
@@ -224,7 +223,7 @@ impl Site {
         Ok(())
     }
 
-    /// Puts the instrument before what is inspected.
+    /// Assigns the station's settings to a subject.
     pub fn stand_before(&self, subject: &mut Subject) {
         subject.station = Arc::clone(&self.settings);
         if let Some(hash) = &self.hash {
@@ -233,7 +232,7 @@ impl Site {
     }
 }
 
-/// This host, as the system says.
+/// Name of this host, by the system.
 fn host_name() -> String {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     match name.trim() {
@@ -242,7 +241,7 @@ fn host_name() -> String {
     }
 }
 
-/// Who runs this program, as the system says.
+/// Name of the user, by the system.
 pub fn user_name() -> String {
     let name = ["USER", "LOGNAME"]
         .into_iter()
@@ -250,7 +249,7 @@ pub fn user_name() -> String {
     name.map_or_else(|| "unknown".into(), |name| plain(&name).into_owned())
 }
 
-/// Where a result comes from; images from elsewhere have no link.
+/// Origin of a result; images from elsewhere have no link.
 #[derive(Serialize)]
 pub struct Made<'a> {
     link: Option<String>,
@@ -261,7 +260,7 @@ pub struct Made<'a> {
 }
 
 impl<'a> Made<'a> {
-    /// By what is at this setting, or by images.
+    /// Origin in this setting, or images from elsewhere.
     pub fn by(setting: &'a Setting, images: bool) -> Self {
         let link = Some(&setting.link).filter(|_| !images);
         Self {

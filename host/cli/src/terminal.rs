@@ -1,4 +1,4 @@
-//! What the terminal on the other side can show: colours, and the letter µ.
+//! Capabilities of the terminal: colours, and the letter µ.
 
 use std::io::IsTerminal;
 
@@ -6,31 +6,31 @@ use flankscope_foundation::display::plain;
 use flankscope_metrology::verdict::Word;
 use flankscope_report::with_micro;
 
-/// Of go, warning, no-go and indeterminate, and back to none.
+/// Colour codes of go, warn, no-go and indeterminate, and the reset code.
 const COLOURS: [&str; 5] = ["\x1b[32m", "\x1b[33m", "\x1b[1;31m", "\x1b[35m", "\x1b[0m"];
 
-/// What standard output, or standard error, goes to.
+/// Capabilities of standard output or standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Terminal {
     colours: bool,
     unicode: bool,
-    /// Of a terminal; what goes to a file or another program is not wrapped.
+    /// Width of a terminal; `None` for a file or pipe, for which text is not wrapped.
     columns: Option<usize>,
 }
 
 impl Terminal {
-    /// Of standard output.
+    /// For standard output.
     pub fn of_stdout() -> Self {
         Self::of(std::io::stdout().is_terminal(), &variable)
     }
 
-    /// Of standard error.
+    /// For standard error.
     pub fn of_stderr() -> Self {
         Self::of(std::io::stderr().is_terminal(), &variable)
     }
 
-    /// Colours on a terminal unless <https://no-color.org> or a dumb one forbids them; µ where the locale is in UTF-8, first of
-    /// LC_ALL, LC_CTYPE and LANG that says something (POSIX.1-2017, 8.2).
+    /// Colours on a terminal unless <https://no-color.org> or a dumb terminal forbids them; µ if the locale is UTF-8, by the
+    /// first of LC_ALL, LC_CTYPE and LANG that is set (POSIX.1-2017, 8.2).
     fn of(is_terminal: bool, variable: &dyn Fn(&str) -> Option<String>) -> Self {
         let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
             .into_iter()
@@ -41,12 +41,12 @@ impl Terminal {
         Self {
             colours: is_terminal && !dumb && variable("NO_COLOR").is_none(),
             unicode: locale.contains("utf-8") || locale.contains("utf8"),
-            // 80 where the terminal does not say.
+            // 80 if the terminal does not report its width.
             columns: is_terminal.then(textwrap::termwidth),
         }
     }
 
-    /// A text with its micrometres and signs as this terminal can show them, and of commands to it only its own colours.
+    /// Converts micrometres and symbols to what this terminal can display, and removes control codes other than our colours.
     pub fn text(self, text: &str) -> String {
         let text = &self.harmless(text);
         if self.unicode {
@@ -78,7 +78,7 @@ impl Terminal {
         shown
     }
 
-    /// A sentence of any length as this terminal can show it, wrapped at its width between words.
+    /// A sentence as this terminal can display it, wrapped at its width between words.
     pub fn sentence(self, text: &str) -> String {
         let text = self.text(text);
         match self.columns {
@@ -87,7 +87,7 @@ impl Terminal {
         }
     }
 
-    /// A text in the colour of a verdict. Words differ as well: nobody depends on the colour.
+    /// A text in the colour of a verdict. The words differ as well, so colour is not needed.
     pub fn in_colour(self, verdict: Word, text: &str) -> String {
         if !self.colours {
             return text.to_owned();

@@ -1,4 +1,4 @@
-//! `flankscope trust`: a file that this station did not sign is to be believed, by somebody's name.
+//! `flankscope trust`: declares a file trusted that this station did not sign, in the name of a person.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};

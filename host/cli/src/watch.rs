@@ -110,12 +110,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "checks": log.checks,
         "truth": truth,
     })));
-    // What nobody checked is indeterminate.
+    // A cycle that was not checked is indeterminate.
     let sentence = format!("{}: this is what the press was shown last", shown.word());
     Ok(complaints.end(shown.verdict(), &sentence, quiet))
 }
 
-/// What is written of every check.
+/// Files that are written for every check.
 #[derive(Default)]
 struct Papers {
     lines: Option<LinesFile>,
@@ -133,7 +133,7 @@ impl Papers {
     }
 }
 
-/// A message for every line that somebody types: a name, or nothing.
+/// A message for every line on standard input: a name, or empty.
 fn acknowledgements() -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
@@ -146,7 +146,7 @@ fn acknowledgements() -> mpsc::Receiver<String> {
     receiver
 }
 
-/// What is printed and kept of the checks.
+/// Output of the watch's checks.
 struct Log<'a> {
     args: &'a Args,
     start: Instant,
@@ -164,7 +164,7 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Takes one message; false stops the watch.
+    /// Handles one event; false stops the watch.
     fn take(&mut self, told: WatchEvent) -> bool {
         match told {
             WatchEvent::Cycle(_) => {}
@@ -218,7 +218,7 @@ impl<'a> Log<'a> {
         if *shown == Shown::NoGo && inspection.verdict == Word::NoGo {
             self.say("ALARM: no-go stays until it is acknowledged (press Enter)");
         }
-        // The press is watched on, whatever becomes of the papers.
+        // The watch continues even if reports cannot be written.
         let mut complaints = Complaints::default();
         complaints.hear_of(self.papers.lines.as_mut(), checked);
         complaints.hear_of(self.papers.page.as_mut(), &mut checked.inspection);

@@ -1,4 +1,4 @@
-//! What moves and sees: the controller, frames from the camera, the poses of views, and the settings of the station.
+//! The instrument's devices: the controller, frames from the camera, the poses of views, and the settings of the station.
 //!
 //! ```text
 //!  controller ── orders, triggers ──┐
@@ -9,13 +9,13 @@
 //! | module | holds |
 //! |---|---|
 //! | [`controller`] | the client of the controller's serial protocol |
-//! | [`acquisition`] | a capture plan run: triggers and frames paired, added up, captured again; live or recorded frames |
-//! | [`doctor`] | what is installed and connected, a finding each with the remedy |
-//! | [`poses`] | poses of the camera stated by somebody else than the stages |
+//! | [`acquisition`] | runs a capture plan: pairs triggers with frames, sums them, repeats captures; live or recorded frames |
+//! | [`doctor`] | what is installed and connected: one finding each, with the remedy |
+//! | [`poses`] | poses of the camera from sources other than the stages |
 //! | [`settings`] | `station.toml`: ports, stages, press, light, camera |
 //! | [`patterns`] | the pictures that the DMD shows |
 //!
-//! It knows frames and time, neither verdicts nor what is stored.
+//! This crate handles frames and time; it knows neither verdicts nor stored results.
 
 pub mod acquisition;
 pub mod controller;

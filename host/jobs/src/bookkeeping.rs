@@ -1,4 +1,4 @@
-//! Frames and memory of a run, as documents state them.
+//! Frame counts, durations and memory of a run, as documents state them.
 
 use flankscope_frames::{Frame, monotonic_ns};
 use flankscope_instrument::acquisition::{Counts, Run};
@@ -15,7 +15,7 @@ pub(crate) fn timing<O>(run: &Run<O>, begun_ns: u64, verdict_ns: u64) -> Timing 
     }
 }
 
-/// Frame bookkeeping of a run.
+/// Frame counts and transfer times of a run.
 pub(crate) fn frame_count(mut counts: Counts) -> FrameCount {
     FrameCount {
         triggered: counts.triggered,

@@ -1,4 +1,4 @@
-//! The jobs of the instrument, each from hello to result.
+//! The jobs of the instrument, each from connecting to its result.
 //!
 //! ```text
 //!  sources: live frames, recorded frames,          ┌─ inspection ── verdict ──┐
@@ -8,15 +8,15 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`subject`] | what a job looks at, and with what |
-//! | [`plan`] | which poses, patterns and exposures: from tool and head to a plan of views; what the head sees of them |
-//! | [`job`] | what all jobs share: threads, live or recorded frames as their source, recordings |
+//! | [`subject`] | tool and head of a job |
+//! | [`plan`] | plans views, patterns and exposures from tool and head; tests what the head sees of them |
+//! | [`job`] | common parts of all jobs: threads, live or recorded frames as their source, recordings |
 //! | [`inspection`] | the check of a few critical teeth |
 //! | [`watch`] | a check every N cycles of the press |
 //! | [`scan`] | the whole die, view by view |
-//! | [`calibration`] | plates to a head file, and its self-test |
+//! | [`calibration`] | from captures of plates to a head file, and its self-test |
 //! | [`replay`] | a stored verdict, computed again from its phasors |
-//! | [`readiness`] | findings on what a station measures with: key, tool, head, history |
+//! | [`readiness`] | findings on the station's key, tool, head and history |
 
 mod bookkeeping;
 pub mod calibration;

@@ -1,4 +1,4 @@
-//! Findings of `doctor` on what a station measures with: its key, tool, head and history.
+//! Findings of `doctor` on the station's key, tool, head and history.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use flankscope_instrument::doctor::Finding;
 use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
 
-/// A calibration that ends within so many days should be renewed.
+/// A calibration that expires within this many days should be renewed.
 const SOON_DAYS: u32 = 14;
 
-/// The station's key, by which its results are known.
+/// The station's key, which signs its results.
 #[must_use]
 pub fn key(seals: &Result<Seals, flankscope_record::seal::SealError>) -> Finding {
     match seals {
@@ -30,7 +30,7 @@ pub fn key(seals: &Result<Seals, flankscope_record::seal::SealError>) -> Finding
     }
 }
 
-/// The tool that is looked at.
+/// The tool file.
 #[must_use]
 pub fn tool(tool: &Result<Tool, ToolError>) -> Finding {
     const CHECK: &str = "tool";
@@ -65,8 +65,7 @@ pub fn tool(tool: &Result<Tool, ToolError>) -> Finding {
     }
 }
 
-/// The head that looks: whether this station believes it, and whether it may judge today. `fits` says whether it may be used
-/// with the link.
+/// The head file: its signature, and whether it may judge today. `fits` says whether it may be used with the link.
 #[must_use]
 pub fn head(
     path: &Path,
@@ -136,7 +135,7 @@ pub fn head(
     finding().with(figures)
 }
 
-/// The history, every link of its chain.
+/// The history, with verification of its chain.
 #[must_use]
 pub fn history(path: &Path, seals: &Seals) -> (Finding, Option<Date>) {
     const CHECK: &str = "history";

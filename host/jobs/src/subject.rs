@@ -1,4 +1,4 @@
-//! The subject of a job: tool, head and station, and the keys that vouch for them.
+//! The subject of a job: tool, head and station, and the keys that verify their files.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,17 +17,17 @@ pub struct Subject {
     pub tool: Arc<flankscope_metrology::tool::Tool>,
     /// The head.
     pub head: Arc<flankscope_profilometry::HeadModel>,
-    /// Temperature of the tool, degrees C, where it is known.
+    /// Temperature of the tool, °C, if known.
     pub temperature_degc: Option<f64>,
-    /// The tool as it was when new; wear is then the difference to it.
+    /// Baseline of the tool when new; if given, wear is relative to it.
     pub baseline: Option<Arc<Baseline>>,
-    /// The instrument that looks at it.
+    /// Settings of the station.
     pub station: Arc<StationSettings>,
-    /// How the head is known, in words: signed, trusted by somebody, or unsigned.
+    /// Status of the head's signature, in words: signed, trusted by a person, or unsigned.
     pub head_seal: String,
-    /// The station's key, and what it believes.
+    /// The station's key and the files that it trusts.
     pub seals: Seals,
-    /// BLAKE3 of the files they came from.
+    /// BLAKE3 of the input files.
     pub hashes: BTreeMap<&'static str, String>,
 }
 
@@ -35,7 +35,7 @@ impl Subject {
     /// Key of the die in a history.
     #[must_use]
     pub fn die(&self) -> DieKey {
-        // A gear is names and numbers: nothing of it can fail to be JSON.
+        // A gear consists of names and numbers, so it can always be written as JSON.
         let gear = serde_json::to_string(&self.tool.gear).unwrap_or_default();
         let cad = self.hashes.get("cad").map_or("", String::as_str);
         DieKey {
@@ -45,12 +45,12 @@ impl Subject {
         }
     }
 
-    /// Origin that a result found in this setting states.
+    /// Origin of a result in this setting.
     pub(crate) fn origin(&self, setting: &Setting) -> Origin {
         Origin::new(setting, self.head_id())
     }
 
-    /// The head that looks, and how it is known.
+    /// The head, with the status of its signature.
     #[must_use]
     pub fn head_id(&self) -> HeadId {
         HeadId {

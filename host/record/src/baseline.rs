@@ -1,5 +1,5 @@
-//! The golden capture of a new tool: wear is what was lost since, and what calibration and as-built form put into both
-//! captures cancels.
+//! Baseline: the capture of a new tool. Wear is the change since then, so errors of calibration and as-built form that are in
+//! both captures cancel.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,12 +15,12 @@ use crate::origin::looked_at;
 use crate::seal::{Kind, SealError, Seals};
 use flankscope_foundation::files;
 
-/// A file of other people is not read beyond this, bytes: 84 teeth with both flanks need 4 MB.
+/// Largest file that is read, bytes: 84 teeth with both flanks need 4 MB.
 const MOST_BYTES: u64 = 64 << 20;
-/// No flank is so far from its CAD.
+/// Largest plausible deviation of a flank from its CAD, mm.
 const MOST_MM: f64 = 10.0;
 
-/// A baseline's record of what a view showed beside its own tooth.
+/// The neighbouring flanks that a baseline recorded in one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ViewReference {
@@ -28,7 +28,7 @@ pub struct ViewReference {
     pub view: u32,
     /// Deviation of the neighbours' flanks from CAD.
     pub flanks: Vec<Reference>,
-    /// What the view says of its pose about the axis, as it acts on each neighbour.
+    /// Evidence of the view's rotation about the axis, as it acts on each neighbour.
     pub poses: Vec<PoseEvidence>,
 }
 
@@ -40,13 +40,13 @@ pub struct Baseline {
     pub tool: String,
     /// BLAKE3 of tool file, CAD and head file: a difference only means wear when all three are the same.
     pub hashes: BTreeMap<String, String>,
-    /// Whether it is of the simulated bench.
+    /// Whether it was captured on the simulated bench.
     pub simulated: bool,
     /// The flanks.
     pub flanks: Vec<Reference>,
-    /// What each view said of its own pose about the axis, with the neighbours in it.
+    /// Evidence of each view's rotation about the axis, from all flanks in it.
     pub poses: Vec<PoseEvidence>,
-    /// What each view showed beside its own tooth.
+    /// Neighbouring flanks recorded in each view.
     pub in_view: Vec<ViewReference>,
 }
 
@@ -63,7 +63,7 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Deviations of a flank as measured.
+    /// The measured deviations of a flank.
     #[must_use]
     pub fn of_flank(wear: &FlankWear) -> Self {
         Self {
@@ -86,7 +86,7 @@ pub enum BaselineError {
         /// Cause.
         source: std::io::Error,
     },
-    /// The file is no baseline.
+    /// The file is not a baseline.
     #[error("baseline {}: {source}; right would be a file written by inspect --record-baseline", path.display())]
     Syntax {
         /// The file.
@@ -94,7 +94,7 @@ pub enum BaselineError {
         /// Cause.
         source: serde_json::Error,
     },
-    /// Too large for a baseline.
+    /// The file is too large for a baseline.
     #[error("baseline {}: {bytes} bytes, at most {MOST_BYTES} are read", path.display())]
     Size {
         /// The file.
@@ -102,7 +102,7 @@ pub enum BaselineError {
         /// Its size.
         bytes: u64,
     },
-    /// Cells that do not fill their grid.
+    /// The number of cells does not fit the grid.
     #[error("baseline {}: tooth {tooth} {flank} has {cells} cells for a grid of {columns} x {rows}", path.display())]
     Grid {
         /// The file.
@@ -118,7 +118,7 @@ pub enum BaselineError {
         /// Rows stated.
         rows: usize,
     },
-    /// A flank that is there twice: which one counts?
+    /// A flank is listed twice.
     #[error("baseline {}: tooth {tooth} {flank} is there twice", path.display())]
     Twice {
         /// The file.
@@ -128,7 +128,7 @@ pub enum BaselineError {
         /// Side.
         flank: Flank,
     },
-    /// A figure that no measurement gives.
+    /// A value that no measurement can give.
     #[error("baseline {}: tooth {tooth} {flank} has the {what} {value}; right would be {expected}", path.display())]
     Value {
         /// The file.
@@ -137,17 +137,17 @@ pub enum BaselineError {
         tooth: u32,
         /// Side.
         flank: Flank,
-        /// Which figure.
+        /// Name of the value.
         what: &'static str,
         /// Its value.
         value: f64,
-        /// What would be right.
+        /// Expected values.
         expected: &'static str,
     },
-    /// Not this station's word, nor somebody's whom it trusts.
+    /// The file is neither signed by this station nor trusted.
     #[error(transparent)]
     Seal(#[from] SealError),
-    /// Something of the instrument changed since.
+    /// Tool, CAD or head file changed since the baseline was recorded.
     #[error(
         "the baseline was recorded with another {what} file (BLAKE3 {recorded}, now {now}); record it again on a tool known to be new"
     )]
@@ -159,17 +159,17 @@ pub enum BaselineError {
         /// Hash now.
         now: String,
     },
-    /// A difference between the simulated bench and a press is no wear.
+    /// One of baseline and check is from the simulated bench, the other from a press; their difference is no wear.
     #[error(
         "baseline {} was recorded with {}, this is {}: record one here", path.display(), looked_at(!simulated), looked_at(*simulated)
     )]
     OtherKind {
         /// The file.
         path: PathBuf,
-        /// Whether the simulated bench is looked at now.
+        /// Whether the present check is on the simulated bench.
         simulated: bool,
     },
-    /// A capture that does not deserve to be a baseline.
+    /// The check did not end in "go", so it cannot be a baseline.
     #[error("a check that ended in {verdict} is no baseline of a new tool; it must end in go")]
     NotNew {
         /// Its verdict.
@@ -178,10 +178,11 @@ pub enum BaselineError {
 }
 
 impl Baseline {
-    /// Reads a baseline for an instrument with these files, at the simulated bench or not.
+    /// Reads a baseline for an instrument with these files, on the simulated bench or not.
     ///
     /// # Errors
-    /// Unreadable, malformed, not this station's word, recorded with other files, or on the bench where this is a press.
+    /// The file is unreadable, malformed, not signed by this station nor trusted, recorded with other files, or simulated while
+    /// the check is not (or the reverse).
     pub fn load(
         path: &Path,
         hashes: &BTreeMap<&'static str, String>,
@@ -242,7 +243,7 @@ impl Baseline {
         Ok(baseline)
     }
 
-    /// What somebody trusts may still be nonsense.
+    /// Checks the values, because a trusted file may still hold implausible ones.
     fn plausible(&self, path: &Path) -> Result<(), BaselineError> {
         for (at, one) in self.flanks.iter().enumerate() {
             let Reference {
@@ -266,7 +267,7 @@ impl Baseline {
                 value,
                 expected,
             };
-            // Where nothing was measured there is no number.
+            // NaN where nothing was measured.
             let wear = field.wear_mm.iter().find(|mm| mm.abs() > MOST_MM);
             if let Some(&mm) = wear {
                 return Err(bad("deviation", mm, "at most 10 mm either way"));
@@ -281,10 +282,10 @@ impl Baseline {
         Ok(())
     }
 
-    /// The text that its hash is of.
+    /// The JSON text that [`Self::hash`] is computed from.
     #[must_use]
     pub fn document(&self) -> String {
-        // Names, words and numbers: nothing of it can fail to be JSON.
+        // Only names, words and numbers, so it can always be written as JSON.
         serde_json::to_string(self).unwrap_or_default()
     }
 
@@ -294,10 +295,10 @@ impl Baseline {
         files::hash(self.document().as_bytes())
     }
 
-    /// Writes it, signed, whole or not at all.
+    /// Signs it and writes it atomically.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Errors of the operating system.
     pub fn save(&self, path: &Path, seals: &Seals) -> Result<(), BaselineError> {
         let syntax = |source| BaselineError::Syntax {
             path: path.to_owned(),
@@ -314,7 +315,7 @@ impl Baseline {
         })
     }
 
-    /// What the view of a tooth said of its own pose.
+    /// Evidence of the rotation of the view with this tooth in its middle.
     #[must_use]
     pub fn pose(&self, tooth: u32) -> Option<&PoseEvidence> {
         self.poses.iter().find(|pose| pose.tooth == Some(tooth))

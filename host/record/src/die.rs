@@ -1,12 +1,12 @@
-//! Which die a check is of: a no-go stands against the die, whatever its tool file calls it.
+//! Identity of a die. A no-go applies to the die, independent of the name in its tool file.
 
 use serde::{Deserialize, Serialize};
 
-/// What a die is known by.
+/// Properties that identify a die.
 ///
-/// Two checks are of the same die when both name a serial number and it is the same; where one of them names none, when
-/// either the tool's name or its geometry is the same. So a no-go is not shed by another name, nor by another CAD alone;
-/// dies of one design are told apart by their serial numbers.
+/// Two checks are of the same die if both name a serial number and these are equal. If one of them names none, they are if the
+/// tool's name or its geometry is equal. So neither renaming the tool nor replacing the CAD alone clears a no-go. Dies of one
+/// design are told apart by their serial numbers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DieKey {
     /// Name of the tool.

@@ -1,17 +1,17 @@
-//! What is kept of measurements and later believed: documents of checks, the history of a die, baselines, and whose word each is.
+//! Stored results: documents of checks, the history of a die, baselines, and signatures that show who wrote each.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`document`] | the documents of checks |
-//! | [`history`] | checks, baselines and acknowledgements of a press in one SQLite file, and what follows from them |
-//! | [`baseline`] | a tool as it was when new |
-//! | [`die`] | which die a check is of |
-//! | [`origin`] | through which link, by which head, at which station, for whom |
-//! | [`seal`] | signatures of files, and which of them are believed |
-//! | [`sink`] | where results go once they are there |
+//! | [`history`] | checks, baselines and acknowledgements of a press in one SQLite file, and analyses of them |
+//! | [`baseline`] | the deviations of a tool when new |
+//! | [`die`] | identity of the die that a check is of |
+//! | [`origin`] | link, head, station and operator of a result |
+//! | [`seal`] | signatures of files, and which files are trusted |
+//! | [`sink`] | outputs for results |
 //!
-//! It opens and shows stored results without an instrument: no controller, no camera, no plots. Jobs write it; reports, a plant's
-//! page and analyses read it.
+//! This crate opens stored results without an instrument: no controller, camera or plots. Jobs write them; reports, a plant's
+//! page and analyses read them.
 
 pub mod baseline;
 pub mod die;

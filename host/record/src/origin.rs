@@ -1,4 +1,4 @@
-//! Where a result comes from: through which link, from a bench or a press, by which head, at which station, for whom.
+//! Origin of a result: link, bench or press, head, station and operator.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -7,34 +7,34 @@ use std::str::FromStr;
 use flankscope_foundation::date::Date;
 use serde::Serialize;
 
-/// What the instrument's controller is.
+/// Kind of controller or recording behind an instrument.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Link {
     /// The simulated bench.
     Sim,
     /// The simulated bench, with the firmware image in the emulator.
     Qemu,
-    /// A controller at a port.
+    /// A controller at a serial port.
     Port(PathBuf),
-    /// None: the frames were recorded.
+    /// No controller: recorded frames.
     Recorded(RecordingId),
-    /// None: the clouds were recorded, and the frames are not there.
+    /// No controller and no frames: recorded clouds.
     Clouds(RecordingId),
 }
 
 /// A recording of frames or clouds, by its index.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RecordingId {
-    /// Day on which they were taken, where that is known.
+    /// Day on which they were taken, if known.
     pub taken: Option<Date>,
     /// BLAKE3 of the index.
     pub blake3: String,
-    /// Whether no real die was looked at.
+    /// Whether the recording is simulated.
     #[serde(skip)]
     pub simulated: bool,
 }
 
-/// Not a link.
+/// The text is not a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "an empty text is no link; sim, qemu or the controller's port, such as /dev/ttyACM0, would be"
@@ -42,7 +42,7 @@ pub struct RecordingId {
 pub struct NoLink;
 
 impl Link {
-    /// Whether there is no real die at its other end.
+    /// Whether it is simulated, without a real die.
     #[must_use]
     pub fn is_simulated(&self) -> bool {
         match self {
@@ -78,56 +78,56 @@ impl fmt::Display for Link {
     }
 }
 
-/// Where an instrument works, and for whom.
+/// Link, station and operator of an instrument.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
     /// Its controller.
     pub link: Link,
     /// Name of the station.
     pub station: String,
-    /// Who runs it, if that is known.
+    /// Operator, if known.
     pub operator: Option<String>,
 }
 
-/// A head by name and file.
+/// A head by name and digest of its file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct HeadId {
     /// Its name, as its file says.
     pub name: String,
     /// BLAKE3 of its file.
     pub blake3: String,
-    /// How it is known: built in, signed, trusted by somebody, or unsigned.
+    /// Status of its signature: built in, signed, trusted by a person, or unsigned.
     pub seal: String,
 }
 
 impl HeadId {
-    /// Its name, and how it is known.
+    /// Its name and the status of its signature.
     #[must_use]
     pub fn words(&self) -> String {
         format!("{} ({})", self.name, self.seal)
     }
 }
 
-/// What a result says of where it comes from.
+/// Origin of a result, as it is stored.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Origin {
     /// `sim`, `qemu`, the controller's port, `recorded frames` or `recorded clouds`.
     pub link: String,
-    /// Whether it is of the simulated bench: no real die was looked at.
+    /// Whether it is simulated, without a real die.
     pub simulated: bool,
     /// The head.
     pub head: HeadId,
     /// Name of the station.
     pub station: String,
-    /// Who ran it.
+    /// Operator.
     pub operator: Option<String>,
-    /// The recording, of recorded frames or clouds.
+    /// The recording, for recorded frames or clouds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecordingId>,
 }
 
 impl Origin {
-    /// Of a result that an instrument in this setting found with this head.
+    /// Origin of a result from an instrument in this setting with this head.
     #[must_use]
     pub fn new(setting: &Setting, head: HeadId) -> Self {
         Self {
@@ -143,7 +143,7 @@ impl Origin {
         }
     }
 
-    /// What was looked at, in words.
+    /// Measured object, in words.
     #[must_use]
     pub fn place(&self) -> String {
         let what = match self.simulated {
@@ -153,7 +153,7 @@ impl Origin {
         format!("{what} ({})", self.link)
     }
 
-    /// Each particular with its name, for a table.
+    /// Each entry with its name, for a table.
     #[must_use]
     pub fn particulars(&self) -> Vec<(&'static str, String)> {
         let operator = self.operator.as_deref().unwrap_or("–");
@@ -166,7 +166,7 @@ impl Origin {
     }
 }
 
-/// What is looked at, by whether it is simulated.
+/// The measured object in words: simulated bench or real die.
 pub fn looked_at(simulated: bool) -> &'static str {
     if simulated {
         "the simulated bench"

@@ -1,4 +1,4 @@
-//! The article's figures and tables, ours beside them, as one page.
+//! The article's figures and tables as one page, with our results for comparison.
 
 use askama::Template;
 
@@ -12,7 +12,7 @@ use flankscope_article::{
 
 /// Width of the wide pictures, px.
 const WIDE: f64 = 1150.0;
-/// Width of pictures that stand beside each other, px.
+/// Width of pictures that are placed side by side, px.
 const HALF: f64 = 560.0;
 /// Upper end of the maps' scale, µm: the article's.
 const MAP_UM: f64 = 200.0;
@@ -48,11 +48,11 @@ struct Page<'a> {
 struct Cuts {
     counts: String,
     spread: String,
-    /// The middle of the image at every step, as addresses.
+    /// The centre of the image at every phase step, as `data:` addresses.
     crops: Vec<String>,
 }
 
-/// A figure that the article reports, what its method gives here, and ours.
+/// A value that the article reports, the result of its method here, and ours.
 struct Row {
     what: &'static str,
     reported: &'static str,
@@ -60,7 +60,7 @@ struct Row {
     ours: String,
 }
 
-/// A way of alignment with its map.
+/// A method of alignment with its map.
 struct Map<'a> {
     of: &'a Alignment,
     title: &'static str,
@@ -70,7 +70,7 @@ struct Map<'a> {
 /// Writes the page.
 ///
 /// # Errors
-/// The template engine's, which formatting into memory never raises.
+/// Errors of the template engine; none occur when formatting to memory.
 pub fn article_html(article: &Article) -> Result<String, askama::Error> {
     let mut facts: Vec<Fact> = vec![
         ("date (UTC)", article.date.clone()),
@@ -154,7 +154,7 @@ fn of_method<'a>(article: &'a Article, name: &str) -> Option<&'a MethodResult> {
     article.methods.iter().find(|of| of.method == name)
 }
 
-/// What the article reports, beside the same here.
+/// Values that the article reports, with the corresponding ones here.
 fn rows(article: &Article) -> Vec<Row> {
     let [ours, theirs] = ["surface", "paper"].map(|name| of_method(article, name));
     let spread = |of: Option<Spread>| {
@@ -229,7 +229,7 @@ fn most_dn(article: &Article) -> f64 {
     f64::from(all.copied().fold(1.0, f32::max)).ceil()
 }
 
-/// The fringes' amplitude over a view, and what the mask makes of it.
+/// Amplitude of the fringes over a view, and the resulting mask.
 fn mask(article: &Article) -> Vec<String> {
     let mask = &article.mask;
     let full = most_dn(article);
@@ -270,7 +270,7 @@ fn mask(article: &Article) -> Vec<String> {
     ]
 }
 
-/// Points, cells and noise against the threshold.
+/// Points, cells and noise as functions of the threshold.
 fn threshold(curve: &[Left], used_dn: f64) -> String {
     let Some(last) = curve.last() else {
         return String::new();
@@ -306,7 +306,7 @@ fn threshold(curve: &[Left], used_dn: f64) -> String {
     format!("<figure>{left}</figure><figure>{noise}</figure>")
 }
 
-/// The unrolled bore of one way of alignment.
+/// Map of the unrolled bore for one method of alignment.
 fn unrolled(article: &Article, of: &Alignment, title: &str) -> String {
     let layout = article.layout;
     let pixels: Vec<[u8; 3]> = (0..layout.rows)
@@ -334,7 +334,7 @@ fn unrolled(article: &Article, of: &Alignment, title: &str) -> String {
     .draw(&[Series::Picture(picture, Scale::Amount(MAP_UM))])
 }
 
-/// Counts along the cut, their spread, and the middles of the images.
+/// Counts along the cut, their spread, and the centres of the images.
 fn cuts(of: &Sections) -> Cuts {
     let length = of.std_dn.len().max(2) as f64;
     let line = |values: &mut dyn Iterator<Item = f64>| -> OverPlaces {
@@ -385,7 +385,7 @@ fn cuts(of: &Sections) -> Cuts {
     }
 }
 
-/// How far serially laid views lie off, along the first layer.
+/// Pose errors of serially registered views along the first layer.
 fn serial(article: &Article) -> String {
     let Some(layer) = article.serial.first() else {
         return String::new();
@@ -439,10 +439,10 @@ fn overlay(of: &Overlay) -> String {
     .draw(&series)
 }
 
-/// A figure at every place, in order.
+/// A value at every position, in order.
 type OverPlaces = Vec<(f64, Option<f64>)>;
 
-/// RMS of every view: a line per layer, the lower the lighter (figure 19).
+/// RMS of every view: one line per layer, lighter towards the bottom (figure 19).
 fn rms(article: &Article, of: Option<&Alignment>) -> String {
     let Some(of) = of else {
         return String::new();
@@ -454,7 +454,7 @@ fn rms(article: &Article, of: Option<&Alignment>) -> String {
     });
     let lines: Vec<(OverPlaces, String)> = (0..layers)
         .map(|layer| {
-            // There and back: odd layers were captured from the other end.
+            // Odd layers were captured in the opposite direction.
             let view = |place: usize| match layer % 2 {
                 0 => layer * around + place,
                 _ => layer * around + around - 1 - place,
@@ -479,7 +479,7 @@ fn rms(article: &Article, of: Option<&Alignment>) -> String {
     .draw(&series)
 }
 
-/// How many registrations took how many steps.
+/// Number of registrations by number of iterations.
 fn iterations(article: &Article) -> String {
     let most = article.settings.registration.most_iterations.clamp(1, 60);
     let theirs = of_method(article, "paper");

@@ -12,14 +12,14 @@ use flankscope_record::document::Feature;
 const WIDTH: f64 = 1150.0;
 const LEFT: f64 = 46.0;
 const RIGHT: f64 = 40.0;
-/// Height of one row of teeth, and of its axis within it, px.
+/// Height of one row of teeth, and of the horizontal axis within it, px.
 const ROW: f64 = 190.0;
 const AXIS: f64 = 132.0;
-/// Teeth in a row.
+/// Number of teeth in a row.
 const PER_ROW: u32 = 42;
 
-/// Two bars for every tooth from 1 to `teeth`, left flank before right: wear, whiskers of U95, the sign of what is not go, and
-/// hatched where nothing was measured or asked.
+/// Two bars for every tooth from 1 to `teeth`, left flank before right: wear, whiskers of U95, a symbol for each verdict other
+/// than "go", and hatching where a flank was not measured or not requested.
 pub(super) fn flanks(features: &[Feature], teeth: u32) -> String {
     let limit = |of: fn(&Feature) -> f64| features.iter().map(of).fold(0.0, f64::max);
     let (warn_um, limit_um) = (limit(|f| f.warn_um), limit(|f| f.limit_um));
@@ -90,7 +90,7 @@ pub(super) fn flanks(features: &[Feature], teeth: u32) -> String {
     svg + "</svg>"
 }
 
-/// One flank between two heights, with its whisker and sign.
+/// One flank between two heights, with its whisker and symbol.
 fn bar(
     svg: &mut String,
     of: Option<&Feature>,

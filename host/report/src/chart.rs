@@ -1,4 +1,4 @@
-//! Charts of a check: who did what when, how the deviations are spread, and what the colours mean.
+//! Charts of a check: activity of the devices over time, histogram of deviations, colour scale.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use super::svg::{open, sign, ticks};
 use flankscope_foundation::activity::{Activity, Device, Span};
 use flankscope_metrology::kinematics::Moves;
 
-/// How a device's lane is called and filled.
+/// Name and fill of a device's lane.
 fn lane(device: Device, moves: Moves) -> (&'static str, &'static str) {
     match device {
         Device::Stages if moves != Moves::Die => ("head moves", "#7a8794"),
@@ -22,12 +22,12 @@ fn lane(device: Device, moves: Moves) -> (&'static str, &'static str) {
     }
 }
 
-/// Where the lanes begin, and how wide and high they are, px.
+/// Position and size of the lanes, px.
 const LEFT: f64 = 118.0;
 const WIDTH: f64 = 900.0;
 const LANE: f64 = 24.0;
 
-/// A lane per device over a common time axis, then the press's lines: held, head clear (the controller is ready again), and
+/// One lane per device over a common time axis, then markers of the press: held, head clear (the controller is ready again), and
 /// the verdict `to_verdict_ms` after the last exposure, or once the head is out.
 #[must_use]
 pub fn timeline(
@@ -72,10 +72,10 @@ pub fn timeline(
             LEFT - 8.0,
             top + 12.0
         );
-        // Next to each other they would be a file of their own; drawn as one shape they still show every pause.
+        // One element per span would need as much space as a file; a single path still shows every pause.
         let mut shape = String::new();
         for span in spans {
-            // A trigger of a millisecond still shows.
+            // Wide enough to show a trigger of a millisecond.
             let width = (x(span.end_ms) - x(span.start_ms)).max(0.6);
             let _ = write!(
                 shape,
@@ -114,7 +114,7 @@ pub fn timeline(
     svg
 }
 
-/// What lies between spans, from 0 to `end_ms`.
+/// Gaps between spans, from 0 to `end_ms`.
 fn between(spans: &[Span], end_ms: f64) -> Vec<Span> {
     let mut since = 0.0;
     let mut found = Vec::new();
@@ -133,7 +133,7 @@ fn between(spans: &[Span], end_ms: f64) -> Vec<Span> {
     found
 }
 
-/// A histogram of deviations in µm, with the limits drawn in where they fall into the range.
+/// A histogram of deviations in µm, with the limits that lie within the range.
 #[must_use]
 pub fn histogram(deviations_um: &[f64], half_range_um: f64, limits_um: Option<[f64; 2]>) -> String {
     const BINS: usize = 80;
@@ -168,7 +168,7 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, limits_um: Option<[f
     .draw(&series)
 }
 
-/// A colour bar from `-full_um` to `+full_um`, with warning and stop limit drawn in.
+/// A colour bar from `-full_um` to `+full_um`, with markers of warning and stop limit.
 #[must_use]
 pub fn colour_bar(full_um: f64, limits_um: Option<[f64; 2]>) -> String {
     const STEPS: usize = 84;
@@ -179,7 +179,7 @@ pub fn colour_bar(full_um: f64, limits_um: Option<[f64; 2]>) -> String {
     bar(&colours, [-full_um, full_um], label, limits_um)
 }
 
-/// A colour bar of the scale that grows from nothing to `full`.
+/// A colour bar of the sequential scale from 0 to `full`.
 #[must_use]
 pub fn amount_bar(full: f64, label: &str) -> String {
     const STEPS: usize = 42;
@@ -250,7 +250,7 @@ mod tests {
         assert!(svg.contains("mark warn") && svg.contains("mark stop"));
     }
 
-    /// The head is clear where the press is not held, and the verdict comes when flanks are evaluated and the head is out.
+    /// The head is clear when the press is not held; the verdict comes when flanks are evaluated and the head is out.
     #[test]
     fn the_timeline_ends_with_the_verdict() {
         let span = |start_ms, end_ms| Span { start_ms, end_ms };

@@ -11,7 +11,7 @@ use flankscope_record::document::{FlankInView, FlankMap, Inspection};
 
 /// Pixels per millimetre of a map on the page.
 const PX_PER_MM: f64 = 30.0;
-/// Widest that the raw frame is kept, px: it is there to be looked at, not to be measured.
+/// Largest width of the raw frame on the page, px: it is for viewing, not for measurement.
 const FRAME_WIDTH: usize = 480;
 
 #[derive(Template)]
@@ -21,9 +21,9 @@ struct Page<'a> {
     simulated: bool,
     facts: Vec<Fact>,
     words: &'static Words,
-    /// What to do about what could not be decided.
+    /// Remedies for indeterminate results.
     remedies: BTreeSet<Code>,
-    /// Parts of the uncertainty that some flank has.
+    /// Sources of uncertainty that occur in some flank's budget.
     sources: BTreeSet<&'static str>,
     ring: Option<String>,
     maps: Vec<Map<'a>>,
@@ -41,18 +41,18 @@ struct Map<'a> {
     picture: String,
     width_px: f64,
     height_px: f64,
-    /// Where most is lost: left and top of the disc, and its width and height, as percentages of the map's.
+    /// The disc with the largest loss: left, top, width and height, as percentages of the map's size.
     disc: Option<[f64; 4]>,
 }
 
 /// Writes the page of an inspection.
 ///
 /// # Errors
-/// The template engine's, which formatting into memory never raises.
+/// Errors of the template engine; none occur when formatting to memory.
 pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
     let limits = inspection.features.iter().map(|f| f.limit_um);
     let limit_um = limits.fold(0.0, f64::max);
-    // Full scale: twice the stop limit, so that a limit violation is dark but not the end of the scale.
+    // Full scale is twice the stop limit, so that a violated limit is dark but not at the end of the scale.
     let full_um = if limit_um > 0.0 {
         2.0 * limit_um
     } else {
@@ -135,12 +135,12 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
     }
 }
 
-/// Whether a flank that was not asked for adds to the verdict of the check; on paper only these are listed.
+/// Whether a flank that was not requested affects the verdict of the check; only these are printed on paper.
 fn counts(flank: &FlankInView) -> bool {
     matches!(flank.verdict, Word::NoGo | Word::Warn)
 }
 
-/// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise costs little.
+/// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise compresses well.
 fn thumbnail(frame: &Picture) -> String {
     let block = frame.width.div_ceil(FRAME_WIDTH).max(1);
     let (width, height) = (frame.width / block, frame.height / block);
@@ -151,7 +151,7 @@ fn thumbnail(frame: &Picture) -> String {
             let sum: u32 = (row..row + block)
                 .flat_map(|row| of_row(row).iter().map(|&grey| u32::from(grey)))
                 .sum();
-            // Below 256, as every pixel is.
+            // Below 256, because every pixel is.
             (sum / (block * block) as u32) as u8 & 0xf8
         })
         .collect();

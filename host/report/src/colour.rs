@@ -1,11 +1,11 @@
-//! The one colour scale of the product: blue for missing material, white for none, red for material that stands proud.
+//! The colour scale of all pictures: blue for missing material, white for zero, red for proud material.
 
 use png::{BitDepth, ColorType, Encoder};
 
 /// Shades to either side of white.
 const STEPS: f64 = 100.0;
 
-/// Colour of a deviation as a share of full scale, −1..1: a diverging scale that a colour-blind reader can tell apart.
+/// Colour of a deviation as a fraction of full scale, −1..1: a diverging scale that is suitable for colour-blind readers.
 #[must_use]
 pub fn diverging(share: f64) -> [u8; 3] {
     // End colours after Moreland's "cool to warm": equal lightness at both ends.
@@ -14,12 +14,12 @@ pub fn diverging(share: f64) -> [u8; 3] {
     const WARM: [f64; 3] = [178.0, 24.0, 43.0];
     let share = share.clamp(-1.0, 1.0);
     let end = if share < 0.0 { COOL } else { WARM };
-    // Small deviations stay visible; a hundred steps to either side are a palette.
+    // The square root keeps small deviations visible; a hundred steps on each side fit into a palette.
     let t = (share.abs().sqrt() * STEPS).round() / STEPS;
     std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * t).round() as u8)
 }
 
-/// Colour of an amount as a share of full scale, 0..1: the lighter, the less.
+/// Colour of an amount as a fraction of full scale, 0..1: lighter for less.
 #[must_use]
 pub fn sequential(share: f64) -> [u8; 3] {
     const NONE: [f64; 3] = [238.0, 243.0, 248.0];
@@ -28,7 +28,7 @@ pub fn sequential(share: f64) -> [u8; 3] {
     std::array::from_fn(|i| (NONE[i] + (FULL[i] - NONE[i]) * share).round() as u8)
 }
 
-/// Colour of a cell without a measured point: hatched, so that no shade of the scale is taken for it.
+/// Colour of a cell without a measured point: hatched, to differ from all colours of the scale.
 #[must_use]
 pub fn unmeasured(column: usize, row: usize) -> [u8; 3] {
     const DARK: [u8; 3] = [120, 124, 130];
@@ -40,7 +40,7 @@ pub fn unmeasured(column: usize, row: usize) -> [u8; 3] {
     }
 }
 
-/// A coloured picture as a `data:` address for an `<img>`: with a palette where its colours fit into one.
+/// A coloured picture as a `data:` address for an `<img>`, with a palette if its colours fit into one.
 ///
 /// `pixels` holds `width * height` colours, row by row.
 #[must_use]
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn pictures_decode_to_what_was_drawn() {
-        // Few colours, and more than a palette holds.
+        // Few colours, but more than a palette holds.
         let many: Vec<[u8; 3]> = (0..300_u16).map(|i| [i as u8, (i >> 8) as u8, 7]).collect();
         for pixels in [vec![[1, 2, 3], [4, 5, 6]], many] {
             drawn_and_decoded(&pixels);

@@ -1,4 +1,4 @@
-//! Results as files for people: a page per result, the newest under its own name, and an index of all, in one folder.
+//! Results as files for people, in one folder: a page per result, a copy of the newest one under a fixed name, and an index.
 //!
 //! ```text
 //!  index.html                        every page, the newest first
@@ -22,14 +22,14 @@ use flankscope_jobs::scan::Scan;
 use flankscope_record::document::Inspection;
 use flankscope_record::sink::{ResultSink, SinkError, document_text};
 
-/// The newest page's name.
+/// Name of the newest page.
 const PAGE: &str = "report.html";
 /// The page of the article's figures.
 const ARTICLE: &str = "article.html";
-/// Pages that the index lists, the newest.
+/// Number of newest pages that the index lists.
 const LISTED: usize = 500;
 
-/// A folder that is there.
+/// An existing folder for reports.
 #[derive(Clone, Debug)]
 pub struct ReportFolder(PathBuf);
 
@@ -42,7 +42,7 @@ struct Index {
     has_history: bool,
 }
 
-/// A page by what its name says.
+/// A page, by the parts of its file name.
 #[derive(Clone, Debug, PartialEq)]
 struct Entry {
     file: String,
@@ -52,7 +52,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// `20260131T120000Z-check-12-no-go.html`; none of any other name.
+    /// Parses `20260131T120000Z-check-12-no-go.html`; `None` for any other name.
     fn of(file: String) -> Option<Self> {
         let stem = file.strip_suffix(".html")?;
         let (date, rest) = stem.split_once('-')?;
@@ -61,7 +61,7 @@ impl Entry {
                 .filter(|part| part.bytes().all(|b| b.is_ascii_digit()))
         };
         let (day, time) = (digits(0..8)?, digits(9..15)?);
-        // "no-go" ends with "go", too: the longest counts.
+        // "no-go" ends with "go", too, so the longest word counts.
         let ends = |word: &&Word| rest.ends_with(&format!("-{word}"));
         let words = Word::ALL.iter().filter(ends);
         let verdict = *words.max_by_key(|word| word.as_str().len())?;
@@ -84,16 +84,16 @@ impl Entry {
     }
 }
 
-/// The name of a result's own page, without its ending: the date first, so that names sort by it.
+/// File name of a result's own page without extension: the date comes first, so that names sort by it.
 fn name_of(date: &str, what: &str, verdict: Word) -> String {
     let date: String = date.chars().filter(char::is_ascii_alphanumeric).collect();
     format!("{date}-{what}-{verdict}")
 }
 
 impl ReportFolder {
-    /// The folder of all pages, in it.
+    /// Subfolder of all pages.
     pub const PAGES: &'static str = "reports";
-    /// What a check writes into its folder.
+    /// Files that a check writes.
     pub const OF_CHECK: &'static [&'static str] = &[
         PAGE,
         "index.html",
@@ -101,7 +101,7 @@ impl ReportFolder {
         "flanks.csv",
         "cells.csv",
     ];
-    /// What a scan writes into its folder.
+    /// Files that a scan writes.
     pub const OF_SCAN: &'static [&'static str] = &[
         PAGE,
         "index.html",
@@ -111,24 +111,24 @@ impl ReportFolder {
         "views.csv",
         "gear.csv",
     ];
-    /// What the article's figures are written as.
+    /// Files of the article's figures.
     pub const OF_ARTICLE: &'static [&'static str] = &[ARTICLE, "article.json", "first-view.ply"];
-    /// What a watch writes into its folder of every check.
+    /// Files that a watch writes for every check.
     pub const OF_WATCH: &'static [&'static str] = &[PAGE, "index.html"];
 
-    /// Writes into this folder.
+    /// Writes into this folder, which must exist.
     #[must_use]
     pub fn new(folder: &Path) -> Self {
         Self(folder.to_owned())
     }
 
-    /// Where the page is.
+    /// Path of the newest page.
     #[must_use]
     pub fn page(&self) -> PathBuf {
         self.0.join(PAGE)
     }
 
-    /// Where the page of the article's figures is.
+    /// Path of the page of the article's figures.
     #[must_use]
     pub fn article(&self) -> PathBuf {
         self.0.join(ARTICLE)
@@ -160,7 +160,7 @@ impl ReportFolder {
         }
     }
 
-    /// The page as the newest and for good, then the index. `date` is ISO 8601, UTC.
+    /// Writes the page under the fixed name and its own name, then the index. `date` is ISO 8601, UTC.
     fn put_page(&self, page: &str, date: &str, what: &str, verdict: Word) -> Result<(), SinkError> {
         self.write(PAGE, page)?;
         let pages = self.0.join(Self::PAGES);
@@ -169,20 +169,20 @@ impl ReportFolder {
             source,
         })?;
         let name = name_of(date, what, verdict);
-        // Two of a second keep both.
+        // Two pages of the same second get different names.
         let (mut own, mut number) = (format!("{}/{name}.html", Self::PAGES), 1);
         while self.0.join(&own).exists() {
             number += 1;
             let again = name_of(date, &format!("{what}-again-{number}"), verdict);
             own = format!("{}/{again}.html", Self::PAGES);
         }
-        // Links of the newest lead down to its tables and pages, those of its own page up.
+        // Links from the newest page lead down to tables and pages, those from its own page lead up.
         let page = page.replace("href=\"./", "href=\"../");
         self.write(&own, &page)?;
         self.index()
     }
 
-    /// Writes the index anew.
+    /// Writes the index again.
     fn index(&self) -> Result<(), SinkError> {
         let path = self.0.join(Self::PAGES);
         let entries =
@@ -220,7 +220,7 @@ fn no_page(error: askama::Error) -> SinkError {
 }
 
 impl ResultSink<Inspection> for ReportFolder {
-    /// The document first: what it says cannot be drawn again.
+    /// The document is written first, because its data cannot be recovered from the page.
     fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
         self.write("inspection.json", &document_text(inspection)?)?;
         self.stream("flanks.csv", |out| {
@@ -232,14 +232,14 @@ impl ResultSink<Inspection> for ReportFolder {
 }
 
 impl ResultSink<Scan> for ReportFolder {
-    /// The document first: what it says cannot be drawn again.
+    /// The document is written first, because its data cannot be recovered from the page.
     fn put(&mut self, scan: &mut Scan) -> Result<(), SinkError> {
         self.write("scan.json", &document_text(scan)?)?;
         self.stream("flanks.csv", |out| tables::flanks(&scan.features, out))?;
         self.stream("views.csv", |out| tables::views(scan, out))?;
         match &scan.gear {
             Some(gear) => self.stream("gear.csv", |out| tables::gear(gear, out))?,
-            // An earlier scan's would pass for this one's.
+            // A file of an earlier scan would be mistaken for this one's.
             None => self.remove("gear.csv")?,
         }
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
@@ -253,7 +253,7 @@ impl ResultSink<Scan> for ReportFolder {
 }
 
 impl ResultSink<Article> for ReportFolder {
-    /// The document first: what it says cannot be drawn again.
+    /// The document is written first, because its data cannot be recovered from the page.
     fn put(&mut self, article: &mut Article) -> Result<(), SinkError> {
         self.write("article.json", &document_text(article)?)?;
         self.stream("first-view.ply", |out| {
@@ -271,7 +271,7 @@ impl ResultSink<Article> for ReportFolder {
     }
 }
 
-/// The pages of checks alone.
+/// Writes pages of checks, without their tables.
 #[derive(Clone, Debug)]
 pub struct Pages(pub ReportFolder);
 

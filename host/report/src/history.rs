@@ -8,7 +8,7 @@ use super::trend_chart::{Checks, horizon_cycles, one, overlay};
 use super::{Fact, Words, facts, figure, numbered};
 use flankscope_record::history::{Acknowledgement, Check, Forecast};
 
-/// Checks that the page lists, the last ones.
+/// Number of latest checks that the page lists.
 const LISTED: usize = 20;
 
 #[derive(Template)]
@@ -38,7 +38,7 @@ struct Flank<'a> {
 /// Writes the page of a tool's history.
 ///
 /// # Errors
-/// The template engine's, which formatting into memory never raises.
+/// Errors of the template engine; none occur when formatting to memory.
 pub fn history_html(
     tool: &str,
     checks: &[Check],
@@ -88,7 +88,7 @@ pub fn history_html(
     page.render()
 }
 
-/// What a check said of a flank.
+/// Verdict of a check on a flank.
 fn on_flank(check: &Check, of: &Forecast) -> Word {
     let mut flanks = check.flanks.iter();
     let flank = flanks.find(|f| f.id.is_same(&of.id));
@@ -112,8 +112,8 @@ pub fn rate(forecast: &Forecast) -> String {
     )
 }
 
-/// Remaining cycles: those that 95 of 100 such flanks do, and those that half of them do. No trend is drawn out farther than
-/// ten times the cycles that it was seen over.
+/// Remaining cycles: the number that 95 of 100 such flanks reach, and the median. No trend is extrapolated beyond ten times the
+/// cycles of its data.
 #[must_use]
 pub fn remaining(forecast: &Forecast) -> String {
     let Some(horizon) = horizon_cycles(forecast) else {
@@ -145,7 +145,7 @@ mod tests {
         }
     }
 
-    /// A flank that wears by `rate_um` per cycle, seen every 10 cycles.
+    /// A flank that wears by `rate_um` per cycle, measured every 10 cycles.
     fn flank(tooth: u32, rate_um: f64) -> Forecast {
         let point = |i: i64| Point {
             check: i + 1,
@@ -197,7 +197,7 @@ mod tests {
         }
     }
 
-    /// 100 cycles of figures say nothing of the 2000th; what they do say is not cut.
+    /// Data over 100 cycles give no forecast for the 2000th cycle; forecasts within the horizon are shown.
     #[test]
     fn no_trend_is_drawn_out_far_beyond_its_figures() {
         assert_eq!(remaining(&flank(12, 0.0)), "> 1000, not extrapolated");
@@ -230,7 +230,7 @@ mod tests {
         // An overlay of both, and one for each.
         assert_eq!(page.matches("<svg").count(), 3);
         assert_eq!(page.matches("class=\"band\"").count(), 2);
-        // Of eleven figures of the first flank ten are go, as are all of the second.
+        // Ten of eleven values of the first flank are "go", as are all of the second.
         assert_eq!(page.matches("class=\"v-go\"><title>check").count(), 21);
         assert_eq!(
             page.matches("class=\"v-warn\"><title>check 11, 2026-02-11T")

@@ -1,5 +1,4 @@
-//! Reports of checks, scans, histories and of the article's figures: each one HTML file that needs nothing else, for the screen, the
-//! mail and the printer.
+//! Reports of checks, scans, histories and the article's figures: each is one self-contained HTML file for screen, e-mail and print.
 
 mod article;
 mod bars;
@@ -29,7 +28,7 @@ pub use words::Words;
 use flankscope_record::document::{Feature, FlankDetail};
 use flankscope_record::origin::Origin;
 
-/// What the figures of a check are: the same words in reports, help texts and documentation.
+/// Definitions of a check's results: the same text in reports, help texts and documentation.
 pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in \
 its zone; nothing is presumed of the damage's shape. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is \
 the judged part of a flank: zone_radius_mm by zone_height_mm in tool.toml. Proud is the largest mean height of material over \
@@ -37,10 +36,10 @@ such a disc, cell the loss of the single cell that lost most (a cell is a fifth 
 the tip edge's rounding. Detects is the least wear that is told from none with 5 % errors of both kinds: damage that takes less \
 than that off every disc of the stated area can hide.";
 
-/// A fact about where a result comes from, by its name.
+/// An entry on the origin of a result: its name and value.
 type Fact = (&'static str, String);
 
-/// What stands under every title.
+/// Entries below every title.
 fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Origin) -> Vec<Fact> {
     let mut facts = vec![
         ("date (UTC)", date.to_owned()),
@@ -52,7 +51,7 @@ fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Or
     facts
 }
 
-/// A check by its number in the history.
+/// A check, with its number in the history.
 fn numbered(id: Option<i64>) -> String {
     id.map_or_else(
         || "in no history".into(),
@@ -60,17 +59,17 @@ fn numbered(id: Option<i64>) -> String {
     )
 }
 
-/// A figure in µm for a table: one decimal, no minus before zero, a dash where there is none.
+/// A value in µm for a table: one decimal, no negative zero, a dash if absent.
 #[must_use]
 pub fn figure(value: Option<f64>) -> String {
-    // Adding zero turns the −0 that rounding may leave into 0.
+    // Adding zero turns −0 into 0.
     value.filter(|um| um.is_finite()).map_or_else(
         || "–".into(),
         |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
     )
 }
 
-/// Wear of a flank in µm with its claim: an interval, or a lower bound.
+/// Wear of a flank in µm as an interval or a lower bound.
 #[must_use]
 pub fn wear_in_words(of: &Feature) -> String {
     match of.at_least_um {
@@ -79,7 +78,7 @@ pub fn wear_in_words(of: &Feature) -> String {
     }
 }
 
-/// A part of a flank's uncertainty for a table, a dash where it has none.
+/// A contribution to a flank's uncertainty for a table; a dash if absent.
 fn part(detail: &FlankDetail, source: &str) -> String {
     let shown = detail.shown_budget().into_iter();
     let um = shown
@@ -89,7 +88,7 @@ fn part(detail: &FlankDetail, source: &str) -> String {
     um.map_or_else(|| "–".into(), |um| format!("{um:.2}"))
 }
 
-/// Sentences are plain ASCII; where µ can be shown, "um" becomes "µm" wherever it is a word of its own, which it is not in `10um.ply`.
+/// Sentences are plain ASCII. Where µ can be shown, "um" becomes "µm" if it is a separate word, unlike in `10um.ply`.
 #[must_use]
 pub fn with_micro(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());

@@ -1,4 +1,4 @@
-//! A chart with two axes as inline SVG: bars, lines and dots over round numbers.
+//! A chart with two axes as inline SVG: bars, lines and dots; axes have round numbers.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ const RIGHT: f64 = 12.0;
 const TOP: f64 = 16.0;
 const BOTTOM: f64 = 40.0;
 
-/// What is drawn.
+/// Elements of a chart.
 pub enum Series<'a> {
     /// A bar from zero over each of equally wide bins, with its own colour.
     Bars(&'a [(f64, String)]),
@@ -17,28 +17,28 @@ pub enum Series<'a> {
     Line(&'a [(f64, Option<f64>)], String),
     /// A dot at each point.
     Dots(&'a [(f64, f64)], String),
-    /// A dot of a colour at each point, with what hovering over it says.
+    /// A coloured dot at each point, with its tooltip.
     Named(&'a [(f64, f64, String, String)]),
-    /// A limit on the axis along the bottom: its value, its name, and the class that tells it from others.
+    /// A limit on the horizontal axis: its value, its name, and its CSS class.
     Mark(f64, &'a str),
-    /// A picture (`data:` address) over the whole area between the axes, and what its colours mean to those who hover over it.
+    /// A picture (`data:` address) over the whole area between the axes, and its colour scale for the tooltip.
     Picture(String, Scale),
-    /// Rectangles of equal size, row by row from the top, this many in a row, each with a colour and what hovering says.
+    /// Rectangles of equal size, row by row from the top; the number in a row, and of each its colour and tooltip.
     Cells(usize, &'a [([u8; 3], String)]),
 }
 
-/// What the colours of a picture mean.
+/// Colour scale of a picture.
 #[derive(Clone, Copy)]
 pub enum Scale {
-    /// [`super::colour::diverging`], up to so many micrometres to either side.
+    /// [`super::colour::diverging`], full scale in µm.
     Deviation(f64),
-    /// [`super::colour::sequential`], up to so many.
+    /// [`super::colour::sequential`], full scale.
     Amount(f64),
 }
 
 /// The axes of a chart.
 pub struct Axes<'a> {
-    /// What it shows, for those who cannot see it.
+    /// Description for screen readers.
     pub title: &'a str,
     /// Width and height, px.
     pub size: [f64; 2],
@@ -49,7 +49,7 @@ pub struct Axes<'a> {
 }
 
 impl Axes<'_> {
-    /// Draws the axes and what lies over them.
+    /// Draws the axes and the elements.
     #[must_use]
     pub fn draw(&self, series: &[Series<'_>]) -> String {
         let [width, height] = self.size;
@@ -176,7 +176,7 @@ impl Axes<'_> {
     }
 }
 
-/// Counts per bin, and how many values lie beyond the range.
+/// Counts per bin, and the number of values beyond the range.
 pub fn binned(values: &[f64], [from, to]: [f64; 2], bins: usize) -> (Vec<f64>, usize) {
     let mut counts = vec![0.0; bins];
     let mut beyond = 0;

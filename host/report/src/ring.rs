@@ -10,14 +10,14 @@ use flankscope_record::document::{Feature, Toothing};
 
 const SIZE: f64 = 420.0;
 const MIDDLE: f64 = 0.5 * SIZE;
-/// Radius of the outermost circle of the toothing, px: numbers stand around it.
+/// Radius of the toothing's outermost circle, px; numbers are placed around it.
 const OUTER: f64 = 178.0;
-/// Places along a flank's profile.
+/// Number of points along a flank's profile.
 const STEPS: usize = 5;
-/// Every so many teeth carry a number where all were judged.
+/// Interval between numbered teeth if all teeth were judged.
 const NUMBERED: usize = 6;
 
-/// Places from tip to root on a flank, mm from the axis and rad from the tooth's centre.
+/// Points of a flank from tip to root: mm from the axis, and rad from the tooth's centre.
 fn profile(gear: &GearData, flank: Flank) -> Vec<[f64; 2]> {
     let (tip, root) = (gear.tip_radius_mm, gear.root_radius_mm);
     (0..=STEPS)
@@ -26,7 +26,7 @@ fn profile(gear: &GearData, flank: Flank) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Where an angle and a radius are in the picture: seen from above, angles grow anticlockwise.
+/// Position of an angle and a radius in the picture: seen from above, angles increase anticlockwise.
 fn at(scale: f64, [radius_mm, angle_rad]: [f64; 2]) -> [f64; 2] {
     let (sin, cos) = angle_rad.sin_cos();
     let r = radius_mm * scale;
@@ -45,7 +45,7 @@ fn path(points: impl Iterator<Item = [f64; 2]>) -> String {
     path
 }
 
-/// What hovering over a flank says, and what stands beside it.
+/// Tooltip and label of a flank.
 pub(super) fn in_words(of: &Feature) -> String {
     format!("{}: {} µm, {}", of.id, crate::wear_in_words(of), of.verdict)
 }
@@ -60,7 +60,7 @@ pub(super) fn deepest(features: &[Feature]) -> Option<&Feature> {
     })
 }
 
-/// The ring of teeth: outlines, judged flanks with numbers, and in its middle the tooth on which most is lost.
+/// The ring of teeth: outlines, judged flanks with numbers, and in its middle the tooth with the largest wear.
 pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
     let gear = &of.gear;
     let outer_mm = gear.root_radius_mm.max(gear.tip_radius_mm);
@@ -136,7 +136,7 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
     svg + "</svg>"
 }
 
-/// One tooth as the ring shows it at its top, larger: flanks by side, and where on its profile most is lost.
+/// One tooth enlarged, in the orientation at the top of the ring: flanks by side, and the position of the largest loss on the profile.
 fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Feature) {
     let gear = &of.gear;
     let (inner, outer) = (
@@ -144,7 +144,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         gear.tip_radius_mm.max(gear.root_radius_mm),
     );
     let scale = 95.0 / (outer - inner).max(1e-9);
-    // Outwards is up, growing angles are to the left.
+    // Outwards is up; angles increase to the left.
     let place = |[radius, angle]: [f64; 2]| {
         [
             MIDDLE - scale * radius * angle.sin(),
@@ -250,7 +250,7 @@ mod tests {
         [x.parse().unwrap(), y.parse().unwrap()]
     }
 
-    /// Tooth 1 stands at 3 o'clock; seen from above, angles grow anticlockwise, so its left flank is the upper one.
+    /// Tooth 1 is at 3 o'clock; seen from above, angles increase anticlockwise, so its left flank is the upper one.
     #[test]
     fn flanks_lie_where_the_die_has_them() {
         let features = [
@@ -261,9 +261,9 @@ mod tests {
         let (left, right) = (begin(&svg, "flank s-no-go"), begin(&svg, "flank s-go"));
         assert!(left[1] < MIDDLE && MIDDLE < right[1], "{left:?} {right:?}");
         let radius = |[x, y]: [f64; 2]| (x - MIDDLE).hypot(y - MIDDLE);
-        // Tips of an internal gear point inwards: 41 of 43.25 mm.
+        // Tips of an internal gear point inwards: 41 mm of 43.25 mm.
         assert!((radius(left) - OUTER * 41.0 / 43.25).abs() < 0.2);
-        // In the enlarged tooth, left is on the left.
+        // In the enlarged tooth, the left flank is on the left.
         let (left, right) = (
             begin(&svg, "flank large s-no-go"),
             begin(&svg, "flank large s-go"),

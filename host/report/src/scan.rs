@@ -1,4 +1,4 @@
-//! The report of a scan: the unrolled map, what saw it, how it is spread, and how die, head and stages stand.
+//! The report of a scan: the unrolled map, its views, histograms, and the estimated errors of die, head and stages.
 
 use std::fmt::Write as _;
 
@@ -19,11 +19,11 @@ use flankscope_record::document::{Feature, ViewStatus};
 const LEAST_FULL_UM: f64 = 20.0;
 /// Width of the wide pictures, px.
 const WIDE: f64 = 1150.0;
-/// Flanks in the table: those that lost most.
+/// Number of flanks in the table, those with the largest loss.
 const WORST_FLANKS: usize = 10;
-/// Distances across the bore in the table: those farthest from the CAD's.
+/// Number of distances across the bore in the table, those with the largest deviation.
 const WORST_SPACINGS: usize = 6;
-/// Colour of a line that stands for no verdict.
+/// Colour of a line without a verdict.
 const LINE: &str = "#2b6cb0";
 
 #[derive(Template)]
@@ -53,16 +53,16 @@ struct Page<'a> {
     lost: Vec<(usize, &'a str)>,
 }
 
-/// What all views say of die, head and stages, with pictures.
+/// Estimated errors of die, head and stages, with pictures.
 struct Joint<'a> {
     adjustment: &'a Adjustment,
     axis: String,
     harmonics: String,
-    /// What the harmonics leave of the views' angles, root mean square, millidegrees, and of how many views.
+    /// Residual of the views' angles after the harmonics, root mean square, millidegrees, and the number of views.
     residual: Option<(f64, usize)>,
 }
 
-/// What calibration adds over the field of view: a picture, and its darkest tile, µm.
+/// Calibration error over the field of view: a picture, and its largest value, µm.
 struct Quality {
     picture: String,
     bar: String,
@@ -78,7 +78,7 @@ struct Histogram {
 /// Writes the page of a scan.
 ///
 /// # Errors
-/// The template engine's, which formatting into memory never raises.
+/// Errors of the template engine; none occur when formatting to memory.
 pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let full_um = full_scale_um(scan);
     let most_views = scan.map.cells().map(|cell| cell.views).max().unwrap_or(0);
@@ -149,7 +149,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     page.render()
 }
 
-/// The figures that most readers came for, each with its expanded uncertainty.
+/// The main results, each with its expanded uncertainty.
 fn summary(scan: &Scan) -> Vec<Fact> {
     let plus_minus =
         |value: f64, u95: Option<f64>| format!("{} ± {} µm", figure(Some(value)), figure(u95));
@@ -194,20 +194,20 @@ fn joint<'a>(scan: &Scan, adjustment: &'a Adjustment) -> Joint<'a> {
     }
 }
 
-/// Half of the pictures' range: what 99 of 100 cells and the stop limits stay within, on a round number.
+/// Half of the pictures' range: contains 99 of 100 cells and the stop limits, rounded.
 pub(super) fn full_scale_um(scan: &Scan) -> f64 {
     let mut sizes: Vec<f64> = scan
         .map
         .cells()
         .map(|cell| (cell.deviation_mm * 1e3).abs())
         .collect();
-    // The stop limit has a colour of its own.
+    // The stop limit must lie below the end of the scale.
     let limits = scan.features.iter().map(|f| 1.2 * f.limit_um);
     let size = limits.fold(quantile(&mut sizes, 0.99).unwrap_or(0.0), f64::max);
     (size / 10.0).ceil().max(LEAST_FULL_UM / 10.0) * 10.0
 }
 
-/// The unrolled bore with its axes, a pixel per cell.
+/// The unrolled bore with axes, one pixel per cell.
 fn of_cells(
     scan: &Scan,
     title: &str,
@@ -246,10 +246,10 @@ fn unrolled(
     .draw(&[Series::Picture(picture, scale)])
 }
 
-/// A figure over the angle in the die, in order.
+/// A value over the angle in the die, in order.
 type OverAngle = Vec<(f64, Option<f64>)>;
 
-/// Layers by height from the bottom, each with the RMS of its views.
+/// Layers from the bottom: height, and the RMS of their views.
 fn layers(scan: &Scan) -> Vec<(f64, OverAngle)> {
     let mut heights: Vec<f64> = scan.registration.iter().map(|r| r.vertical_mm).collect();
     heights.sort_by(f64::total_cmp);
@@ -259,7 +259,7 @@ fn layers(scan: &Scan) -> Vec<(f64, OverAngle)> {
             .registration
             .iter()
             .filter(|r| r.vertical_mm == height)
-            // The die turns by the commanded angle: seen from it, the head turns the other way.
+            // The die turns by the commanded angle, so relative to it the head turns in the opposite direction.
             .map(|r| (-r.rotation_deg, r.rms_about_form_um.or(r.rms_um)))
             .collect();
         layer.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -275,13 +275,13 @@ fn rms_full_um(scan: &Scan) -> f64 {
     (most.fold(1.0, f64::max) / 5.0).ceil() * 5.0
 }
 
-/// What hovering over a view says.
+/// Tooltip of a view.
 fn said(height_mm: f64, angle_deg: f64, rms_um: Option<f64>) -> String {
     let rms = rms_um.map_or_else(|| "lost".into(), |um| format!("{um:.1} µm"));
     format!("{angle_deg:.1}°, {height_mm:.1} mm: {rms}")
 }
 
-/// Root mean square distance of every view by layer and position: a cell per view.
+/// RMS distance of every view by layer and position: one cell per view.
 fn rms_picture(scan: &Scan) -> String {
     let layers = layers(scan);
     let full_um = rms_full_um(scan);
@@ -310,7 +310,7 @@ fn rms_picture(scan: &Scan) -> String {
     .draw(&[Series::Cells(columns, &cells)])
 }
 
-/// A small chart per layer, from the top: RMS of its views over the angle, all on the same scale.
+/// A small chart per layer, from the top: RMS of its views over the angle, with a common scale.
 fn rms_lines(scan: &Scan) -> Vec<String> {
     let full_um = rms_full_um(scan);
     let chart = |(height, points): &(f64, OverAngle)| {
@@ -329,7 +329,7 @@ fn rms_lines(scan: &Scan) -> Vec<String> {
     layers(scan).iter().rev().map(chart).collect()
 }
 
-/// One view and the merged map in both metrics; the merged map alone where nothing was compared.
+/// One view and the merged map in both metrics; the merged map alone if the metrics were not computed.
 fn histograms(scan: &Scan, full_um: f64) -> Vec<Histogram> {
     let Some(metrics) = &scan.metrics else {
         let merged: Vec<f64> = scan.map.cells().map(|c| c.deviation_mm * 1e3).collect();
@@ -422,7 +422,7 @@ fn histogram(
     Histogram { name, svg, caption }
 }
 
-/// The rotation axis in the die, from its lower to its upper end, seen from above.
+/// Position of the rotation axis in the die, from its lower to its upper end, seen from above.
 fn axis(found: &StageErrors) -> String {
     let ends = found.axis_mm;
     let reach = ends.iter().flatten().fold(0.05_f64, |r, c| r.max(c.abs())) * 1.25;
@@ -443,7 +443,7 @@ fn axis(found: &StageErrors) -> String {
     ])
 }
 
-/// The encoder's error over a turn: its harmonics as a line, and every view.
+/// The encoder's error over a revolution: its harmonics as a line, and the value of every view.
 fn harmonics(scan: &Scan, found: &StageErrors) -> String {
     let pairs = found.harmonics_mdeg;
     let error_mdeg = |deg: f64| -> f64 {
@@ -484,7 +484,7 @@ fn harmonics(scan: &Scan, found: &StageErrors) -> String {
     ])
 }
 
-/// What was learnt of the field of view; nothing without views that overlap.
+/// Estimated calibration error over the field of view; `None` without overlapping views.
 fn quality(scan: &Scan) -> Option<Quality> {
     let sigma_um: Vec<Option<f64>> = scan
         .quality

@@ -1,4 +1,4 @@
-//! A scan's map for other people's programs: points or a mesh as PLY, with deviation, uncertainty, views, normal and colour.
+//! A scan's map for other programs: points or a mesh as PLY, with deviation, uncertainty, number of views, normal and colour.
 
 use std::io::{self, Write};
 
@@ -10,20 +10,19 @@ use super::colour;
 use super::scan::full_scale_um;
 use flankscope_jobs::scan::Scan;
 
-/// Writes every cell of the map as the point that was measured: normal on the CAD, deviation and standard uncertainty in mm,
-/// number of views, and the report's colour.
+/// Writes every cell of the map as its measured point: normal of the CAD, deviation and standard uncertainty in mm, number of
+/// views, and the report's colour.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn scan_ply(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
     write(scan, &scan.map, (Format::Ply, out), &[])
 }
 
-/// Writes the cells of a map of the scan, its own or a finer one, joined to a mesh of the measured surface, with holes where nothing
-/// was seen.
+/// Writes the cells of a map of the scan, its own or a finer one, as a mesh of the measured surface, with holes where nothing was measured.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn scan_mesh(
     scan: &Scan,
     map: &CylinderMap,
@@ -66,13 +65,14 @@ fn write(
     file.write(format, out)
 }
 
-/// Triangles between neighbouring cells that were seen: two where all four corners of a field were, one where three were. Every
-/// edge has one or two of them, on its either side, and all face out of the material. Numbers count the cells that were seen.
+/// Triangles between neighbouring measured cells: two for a field with four measured corners, one for three. Every edge belongs
+/// to one triangle or to two on opposite sides, and all face out of the material. Indices count measured cells.
 fn triangles(map: &CylinderMap) -> Vec<[u32; 3]> {
     let layout = map.layout();
     let (mut row_before, mut seen) = (Vec::new(), 0_u32);
     let mut found = Vec::new();
-    // Counter-clockwise seen from outside the bore. Whether that is out of the material, most of them say: a sliver may not know.
+    // Counter-clockwise seen from outside the bore. The majority decides whether this is out of the material, because a sliver
+    // may be ambiguous.
     let mut outwards = 0.0;
     for row in 0..layout.rows {
         let here: Vec<Option<(u32, Cell)>> = (0..layout.columns)
@@ -136,7 +136,7 @@ mod tests {
 
     use super::*;
 
-    /// A bore with material outside, seen in some of its cells.
+    /// A bore with material outside, measured in some of its cells.
     fn bore(seen: impl Fn(usize) -> bool) -> CylinderMap {
         let layout = Layout {
             columns: 40,
@@ -163,7 +163,7 @@ mod tests {
         map
     }
 
-    /// Directed edges and how often each is there.
+    /// Directed edges and their number of occurrences.
     fn edges(triangles: &[[u32; 3]]) -> BTreeMap<(u32, u32), usize> {
         let mut edges = BTreeMap::new();
         for &[a, b, c] in triangles {
@@ -182,7 +182,7 @@ mod tests {
             .keys()
             .filter(|&&(a, b)| !edges.contains_key(&(b, a)))
             .collect();
-        // The two rims alone.
+        // Only the two rims.
         assert_eq!(open.len(), 2 * 40);
         let row = |vertex: u32| vertex / 40;
         assert!(
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_mesh_with_holes_covers_no_cell_that_was_not_seen_and_leaves_no_crack() {
-        // A third of the cells was not seen, scattered.
+        // A third of the cells is unmeasured, scattered.
         let is_seen = |cell: usize| !((cell * 2_654_435_761) >> 7).is_multiple_of(3);
         let map = bore(is_seen);
         let number: Vec<usize> = (0..1000).filter(|&cell| is_seen(cell)).collect();
@@ -205,7 +205,7 @@ mod tests {
         };
         let beside = |a: usize, b: usize| (a + 1) % 40 == b || (b + 1) % 40 == a || a == b;
         for triangle in &found {
-            // Corners are neighbours, so that no triangle spans a cell that was not seen.
+            // Corners are neighbours, so that no triangle spans an unmeasured cell.
             let [a, b, c] = triangle.map(of);
             for (p, q) in [(a, b), (b, c), (c, a)] {
                 assert!(beside(p.0, q.0) && p.1.abs_diff(q.1) <= 1, "{p:?} {q:?}");
@@ -216,7 +216,7 @@ mod tests {
             if edges.contains_key(&(b, a)) {
                 continue;
             }
-            // An open edge: one of the fields beside it lacks a corner, or there is none.
+            // An open edge: one of the adjacent fields lacks a corner, or does not exist.
             let (p, q) = (of(a), of(b));
             let seen = |(column, row): (usize, usize)| row < 25 && is_seen(row * 40 + column);
             let complete = |column: usize, row: usize| {
@@ -241,7 +241,7 @@ mod tests {
             };
             assert!(!whole, "a crack between {p:?} and {q:?}");
         }
-        // Every field with three or four corners is there.
+        // Every field with three or four corners must be present.
         let corners = |cell: usize| {
             let (column, row) = (cell % 40, cell / 40);
             let next = row * 40 + (column + 1) % 40;

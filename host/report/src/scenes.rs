@@ -1,4 +1,5 @@
-//! The article's figures 5, 10, 15 and 18: toothing, cameras, the initial transformation and the final cloud, in space.
+//! The article's figures 5, 10, 15 and 18 as pictures of objects in space: toothing, cameras, the initial transformation and the
+//! final cloud.
 
 use std::f64::consts::PI;
 
@@ -10,14 +11,14 @@ use flankscope_article::InSpace;
 
 const HALF_PX: [usize; 2] = [570, 480];
 const SMALL_PX: [usize; 2] = [380, 400];
-/// Wanted is a look down into the bore, and along the flanks of a window.
+/// Elevations of the viewer: into the bore, and along the flanks of a window.
 const INTO_BORE_RAD: f64 = 0.62;
 const ONTO_WINDOW_RAD: f64 = 0.35;
-/// Half of what is shown of edges and corners, mm.
+/// Half of the displayed length at edges and corners, mm.
 const CLOSE_MM: f64 = 1.5;
 /// Length of the axes of a frame, mm.
 const AXIS_MM: f64 = 10.0;
-/// A picture of so many colours keeps a small palette.
+/// Number of colours; few keep the palette small.
 const COLOURS: f64 = 48.0;
 
 const BLUE: [u8; 3] = [43, 108, 176];
@@ -26,11 +27,11 @@ const GREEN: [u8; 3] = [27, 127, 92];
 const RED: [u8; 3] = [163, 20, 42];
 const INK: [u8; 3] = [60, 70, 84];
 
-/// The pictures, as addresses.
+/// The pictures, as `data:` addresses.
 pub(super) struct Scenes {
-    /// Every view's camera and what it looked at (figure 5).
+    /// Camera and field of every view (figure 5).
     pub cameras: String,
-    /// The first view in its camera's frame and at the initial transformation (figure 10).
+    /// The first view in its camera frame and at the initial transformation (figure 10).
     pub initial: String,
     /// Faces, edges and corners of the CAD, and random reference points, in the first view's window (figure 15).
     pub stored: [String; 3],
@@ -39,10 +40,10 @@ pub(super) struct Scenes {
 }
 
 impl Scenes {
-    /// Draws them; distances of the final cloud are coloured up to `full_um`.
+    /// Draws the pictures; distances of the final cloud are coloured up to `full_um`.
     pub(super) fn of(space: &InSpace, full_um: f64) -> Self {
         let [cx, cy, _] = space.window_centre_mm;
-        // Opposite of the first view, and a little aside: its wall is the far one.
+        // Opposite to the first view and slightly to the side, so that the wall of that view is the far one.
         let azimuth_rad = cy.atan2(cx) + PI + 0.4;
         Self {
             cameras: cameras(space, azimuth_rad),
@@ -53,13 +54,13 @@ impl Scenes {
     }
 }
 
-/// From above and the side.
+/// View from above and the side.
 fn into_bore<'a>(points_mm: impl IntoIterator<Item = &'a [f64; 3]>, azimuth_rad: f64) -> Canvas {
     let points_mm = points_mm.into_iter().copied();
     Canvas::fitting(points_mm, HALF_PX, [azimuth_rad, INTO_BORE_RAD])
 }
 
-/// The near wall is seen through.
+/// The near wall is transparent.
 fn is_far(canvas: &Canvas, point_mm: [f64; 3]) -> bool {
     let [x, y, _] = canvas.towards();
     point_mm[0] * x + point_mm[1] * y < 0.0
@@ -80,7 +81,7 @@ fn draw_faces(canvas: &mut Canvas, mesh: &TriMesh) {
     }
 }
 
-/// The axes of a frame at its origin, and its ends along x, y and z.
+/// The axes of a frame, from its origin to their ends along x, y and z.
 fn draw_axes(canvas: &mut Canvas, origin_mm: [f64; 3], ends_mm: [[f64; 3]; 3]) {
     for (end, colour) in ends_mm.into_iter().zip([RED, GREEN, BLUE]) {
         canvas.line([origin_mm, end], colour);
@@ -111,13 +112,13 @@ fn initial(space: &InSpace, azimuth_rad: f64) -> String {
     canvas.data_uri()
 }
 
-/// What is stored of the window: faces, edges with corners, and points drawn on it.
+/// Reference data of the window: faces, edges with corners, and random points on the surface.
 fn stored(space: &InSpace) -> [String; 3] {
     let [cx, cy, _] = space.window_centre_mm;
     let window = &space.window;
     let direction = [cy.atan2(cx) + PI + ONTO_WINDOW_RAD, ONTO_WINDOW_RAD];
     let canvas = || Canvas::fitting(window.vertices.iter().copied(), SMALL_PX, direction);
-    // Faces of a die are as long as it is high, and corners lie at their ends: a tooth at the window's upper end.
+    // Faces extend over the die's height, with corners at their ends, so a tooth at the window's upper end is shown.
     let top_mm = window.vertices.iter().map(|p| p[2]).fold(0.0, f64::max);
     let about = [-1.0, 1.0].map(|way| [cx, cy, top_mm - CLOSE_MM].map(|at| at + way * CLOSE_MM));
     let close = Canvas::fitting(about.into_iter(), SMALL_PX, direction);

@@ -1,31 +1,31 @@
-//! Things in space as a picture: seen from afar along one direction, the nearer in front of the farther.
+//! Renders objects in space by parallel projection with hidden surfaces.
 
 use super::colour;
 
 type Vector = [f64; 3];
 
-/// Shades of a face, dark where it is seen from the side.
+/// Number of shades of a face, dark where it is seen from the side.
 const SHADES: f64 = 24.0;
 const DARK: f64 = 110.0;
 const BRIGHT: f64 = 236.0;
-/// Lines and dots lie on the faces that they belong to: nearer by so much, as a share of the picture's width.
+/// Lines and dots are drawn in front of the faces that they lie on: offset as a fraction of the picture's width.
 const ON_FACE: f64 = 0.004;
 const BACKGROUND: [u8; 3] = [255; 3];
 
-/// Room around what is shown, as a share of it.
+/// Margin around the objects, as a factor.
 const MARGIN: f64 = 1.05;
 
-/// A picture that things are put into, in any order.
+/// A picture to which objects are added in any order.
 pub struct Canvas {
     size_px: [usize; 2],
     px_per_mm: f64,
-    /// In the middle of the picture: to the right and up.
+    /// Centre of the picture: to the right and up.
     middle_mm: [f64; 2],
-    /// Right, up, and towards the viewer.
+    /// Directions to the right, up, and towards the viewer.
     axes: [Vector; 3],
     on_face_mm: f64,
     pixels: Vec<[u8; 3]>,
-    /// Of what is seen there, towards the viewer, mm.
+    /// Depth buffer: height of the visible object towards the viewer, mm.
     height_mm: Vec<f32>,
 }
 
@@ -38,8 +38,8 @@ fn minus(a: Vector, b: Vector) -> Vector {
 }
 
 impl Canvas {
-    /// An empty picture into which all of these points fit (mm; one at least), for a viewer who stands `azimuth_rad` about the z
-    /// axis and `elevation_rad` above the xy plane, less than a right angle.
+    /// An empty picture that all of these points fit into (mm; at least one), for a viewer at `azimuth_rad` about the z axis and
+    /// `elevation_rad` above the xy plane (less than a right angle).
     pub fn fitting(
         points_mm: impl Iterator<Item = Vector>,
         size_px: [usize; 2],
@@ -85,7 +85,7 @@ impl Canvas {
         self.axes[2]
     }
 
-    /// Column and row, px, and how near, mm.
+    /// Column and row, px, and height towards the viewer, mm.
     fn seen(&self, p_mm: Vector) -> Vector {
         let [right, up, near] = self.axes.map(|axis| dot(axis, p_mm));
         [
@@ -109,11 +109,11 @@ impl Canvas {
         }
     }
 
-    /// A triangle whose corners run anticlockwise seen from outside, the brighter the more it faces the viewer. From behind it is
-    /// not seen at all: a viewer looks through the near wall of a bore.
+    /// A triangle whose corners run anticlockwise seen from outside; brighter the more it faces the viewer. It is invisible from
+    /// behind, so that a viewer looks through the near wall of a bore.
     pub fn face(&mut self, corners_mm: [Vector; 3]) {
         let [a, b, c] = corners_mm.map(|corner| self.seen(corner));
-        // Rows grow downwards: anticlockwise in space is clockwise in the picture.
+        // Rows increase downwards, so anticlockwise in space is clockwise in the picture.
         let area = (c[0] - a[0]) * (b[1] - a[1]) - (b[0] - a[0]) * (c[1] - a[1]);
         if area <= 0.0 {
             return;
@@ -215,7 +215,7 @@ mod tests {
             canvas.pixels.iter().filter(|p| **p != BACKGROUND).count(),
             1
         );
-        // What lies beside the picture is nowhere in it.
+        // Objects outside the picture are not drawn.
         canvas.dot([0.0, 50.0, 0.0], 3, RED);
         canvas.line([[0.0, 40.0, -40.0], [0.0, 40.0, 40.0]], RED);
         assert_eq!(
@@ -236,7 +236,7 @@ mod tests {
         };
         assert_eq!(count(&canvas, |p| *p == RED), 0.0);
         assert!(count(&canvas, |p| *p == BLUE) >= 40.0);
-        // Half of 40 px by 40 px. Its edges run through the middles of 120 pixels, which may count or not (Pick's theorem).
+        // Half of 40 px by 40 px. Its edges pass through the centres of 120 pixels, which may or may not count (Pick's theorem).
         let drawn = count(&canvas, |p| *p != BACKGROUND);
         assert!((741.0..=861.0).contains(&drawn), "{drawn}");
         // It faces the viewer.
@@ -253,12 +253,12 @@ mod tests {
         let direction = [std::f64::consts::FRAC_PI_2, std::f64::consts::FRAC_PI_3];
         let corners = [[0.0, 0.0, -4.0], [10.0, 0.0, 4.0]];
         let canvas = Canvas::fitting(corners.into_iter(), [105, 60], direction);
-        // Seen from y, x runs to the left; 5 mm is in the middle.
+        // Seen from y, x runs to the left; 5 mm is in the centre.
         let seen = canvas.seen([4.0, 0.0, 2.0]);
         let expected = [62.5, 20.0, 3.0_f64.sqrt()];
         let off = (0..3).map(|k| (seen[k] - expected[k]).abs());
         assert!(off.fold(0.0, f64::max) < 1e-9, "{seen:?}");
-        // What is tall asks for another scale.
+        // A tall object needs another scale.
         let tall = [[0.0, 0.0, -4.0], [1.0, 0.0, 4.0]];
         let canvas = Canvas::fitting(tall.into_iter(), [105, 21], direction);
         assert!((canvas.px_per_mm - 5.0).abs() < 1e-9);

@@ -1,10 +1,10 @@
-//! What all charts have in common: inline SVG without font file, axes with round numbers, a sign of its own for each verdict.
+//! Common parts of all charts: inline SVG without a font file, axes with round numbers, a symbol for each verdict.
 
 use std::fmt::Write as _;
 
 use flankscope_metrology::verdict::Word;
 
-/// The beginning of a picture.
+/// The opening tag of a picture.
 pub(super) fn open(width: f64, height: f64, title: &str) -> String {
     format!(
         r#"<svg viewBox="0 0 {width} {height}" role="img" aria-label="{title}"><title>{title}</title>"#
@@ -16,7 +16,7 @@ pub(super) fn ticks(from: f64, to: f64) -> Vec<f64> {
     about(8.0, from, to)
 }
 
-/// About so many round numbers between two ends.
+/// About `count` round numbers between two ends.
 pub(super) fn about(count: f64, from: f64, to: f64) -> Vec<f64> {
     let raw = (to - from) / count;
     let magnitude = 10_f64.powf(raw.log10().floor());
@@ -32,7 +32,7 @@ pub(super) fn about(count: f64, from: f64, to: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The sign of a verdict at a place: its form tells it as well as its colour. Hovering says `title`.
+/// The symbol of a verdict, which differs in shape as well as in colour. `title` is its tooltip.
 pub(super) fn sign(svg: &mut String, verdict: Word, [x, y]: [f64; 2], radius: f64, title: &str) {
     let r = radius;
     let _ = match verdict {
@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(ticks(-100.0, 100.0), [-100.0, -50.0, 0.0, 50.0, 100.0]);
     }
 
-    /// Without its colour class every sign is still another one.
+    /// Without its colour class, every symbol is still different.
     #[test]
     fn verdicts_differ_by_shape_alone() {
         let words = [Word::Go, Word::Warn, Word::NoGo, Word::Indeterminate];

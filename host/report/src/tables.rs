@@ -1,4 +1,4 @@
-//! Figures of a page as comma-separated values (RFC 4180), for other programs.
+//! Values of a page as comma-separated values (RFC 4180), for other programs.
 
 use std::io::{self, Write};
 
@@ -40,7 +40,7 @@ pub(super) fn flanks(features: &[Feature], out: &mut dyn Write) -> io::Result<()
     Ok(())
 }
 
-/// A line per cell of the deviation maps: the middle of the cell along the profile and up from the zone's lower end.
+/// A line per cell of the deviation maps: position of its centre along the profile and up from the zone's lower end.
 pub(super) fn cells(inspection: &Inspection, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "tooth,flank,along_mm,up_mm,deviation_um")?;
     for map in &inspection.pictures.maps {
@@ -86,7 +86,7 @@ pub(super) fn views(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// A line per flank of a scan that was read as a gear.
+/// A line per flank of a scan with a gear evaluation.
 pub(super) fn gear(of: &ScanGear, out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,

@@ -1,4 +1,4 @@
-//! Wear against cycles: all flanks of a tool over each other, and one by one with the way to the stop limit.
+//! Charts of wear against cycles: an overlay of all flanks of a tool, and one per flank with the extrapolation to the stop limit.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,14 +10,14 @@ use super::figure;
 use super::svg::{about, open, sign};
 use flankscope_record::history::{Check, Forecast, Point};
 
-/// A trend is believed this many times as far ahead as the figures reach that it rests on.
+/// A trend is extrapolated up to this many times the range of its data.
 const AHEAD: f64 = 10.0;
-/// Steps of the band around the line.
+/// Number of steps of the uncertainty band.
 const STEPS: u32 = 12;
-/// Flanks that the overlay names: those that lost most.
+/// Number of flanks that the overlay names, those with the largest loss.
 const NAMED: usize = 3;
 
-/// How far a trend may be drawn out, cycles from its last figure; none without a trend.
+/// Largest extrapolation of a trend, cycles from its last value; `None` without a trend.
 pub(super) fn horizon_cycles(forecast: &Forecast) -> Option<f64> {
     let trend = forecast.trend?;
     let since = forecast.points.len().checked_sub(trend.points)?;
@@ -25,7 +25,7 @@ pub(super) fn horizon_cycles(forecast: &Forecast) -> Option<f64> {
     Some(AHEAD * (last.cycles - first.cycles))
 }
 
-/// What else is known of the checks that the figures come from.
+/// The checks that the values come from, by number.
 pub(super) struct Checks<'a>(BTreeMap<i64, &'a Check>);
 
 impl<'a> Checks<'a> {
@@ -33,7 +33,7 @@ impl<'a> Checks<'a> {
         Self(checks.iter().map(|check| (check.id, check)).collect())
     }
 
-    /// Verdict on the flank and date of a figure, as far as they are known.
+    /// Verdict on the flank and date of a value, if known.
     fn of_figure(&self, of: &Forecast, point: &Point) -> (Word, &'a str) {
         let Some(check) = self.0.get(&point.check) else {
             return (Word::Indeterminate, "–");
@@ -44,7 +44,7 @@ impl<'a> Checks<'a> {
     }
 }
 
-/// Where cycles and wear lie in a picture.
+/// Scales of cycles and wear in a picture.
 struct Frame {
     width: f64,
     height: f64,
@@ -76,7 +76,7 @@ impl Frame {
         self.bottom() - (um.clamp(low, high) - low) / (high - low).max(1.0) * (self.bottom() - TOP)
     }
 
-    /// Axes, limits, and the dates of the first and the last figure below.
+    /// Axes and limits, with the dates of the first and the last value below.
     fn begin(&self, title: &str, limits_um: [f64; 2], dates: [(f64, &str); 2]) -> String {
         let mut svg = open(self.width, self.height, title);
         let (right, bottom) = (self.right(), self.bottom());
@@ -116,7 +116,7 @@ impl Frame {
             first.1,
             y = bottom + 29.0
         );
-        // Where both dates fit below their figures.
+        // Only if both dates fit below their values.
         if last.0 - first.0 > 150.0 {
             let _ = write!(
                 svg,
@@ -142,7 +142,7 @@ fn range(points: &[Point]) -> [f64; 2] {
     }
 }
 
-/// Lowest and highest end of the figures' uncertainties, the stop limit inside.
+/// Range of the values with their uncertainties and of the stop limit.
 fn heights<'a>(points: impl Iterator<Item = &'a Point>, limit_um: f64) -> [f64; 2] {
     points.fold([0.0, 1.15 * limit_um], |[low, high], p| {
         let half = COVERAGE_95 * p.u_um;
@@ -150,7 +150,7 @@ fn heights<'a>(points: impl Iterator<Item = &'a Point>, limit_um: f64) -> [f64; 
     })
 }
 
-/// All flanks over each other: those that lost most by name, the others in grey.
+/// All flanks in one chart: those with the largest loss by name, the others in grey.
 pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
     const COLOURS: [&str; NAMED] = ["#b2182b", "#2b6cb0", "#1b7f5c"];
     const DASHES: [&str; NAMED] = ["none", "7 3", "2 2"];
@@ -184,7 +184,7 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
     let mut order: Vec<&Forecast> = forecasts.iter().filter(|f| !f.points.is_empty()).collect();
     let now = |f: &Forecast| f.points.last().map_or(0.0, |p| p.wear_um);
     order.sort_by(|a, b| now(b).total_cmp(&now(a)));
-    // The named ones are drawn last, over the others.
+    // The named ones are drawn last, in front of the others.
     for (place, of) in order.into_iter().enumerate().rev() {
         let line: Vec<String> = of
             .points
@@ -204,7 +204,7 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
             figure(Some(now(of)))
         );
         if place < NAMED {
-            // Above the picture, beside the name of its axis.
+            // Above the picture, beside the title of its axis.
             let x = LEFT + 80.0 + 150.0 * place as f64;
             let y = TOP - 3.0;
             let _ = write!(
@@ -218,7 +218,7 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
     svg + "</svg>"
 }
 
-/// One flank: figures with U95 and the sign of their verdict, changes, the line and its band on the way to the limit.
+/// One flank: values with U95 and the symbol of their verdict, changes, and the line with its band up to the limit.
 pub(super) fn one(of: &Forecast, checks: &Checks<'_>) -> String {
     let [first, last] = range(&of.points);
     let ahead = drawn_ahead(of);
@@ -244,7 +244,7 @@ pub(super) fn one(of: &Forecast, checks: &Checks<'_>) -> String {
         );
     }
     draw_trend(&mut svg, of, &frame, ahead);
-    // The more there are, the smaller.
+    // Smaller symbols for many values.
     let radius = if of.points.len() > 60 { 2.2 } else { 3.6 };
     for point in &of.points {
         let half = COVERAGE_95 * point.u_um;
@@ -268,14 +268,13 @@ pub(super) fn one(of: &Forecast, checks: &Checks<'_>) -> String {
     svg + "</svg>"
 }
 
-/// How far ahead of the last figure a line is drawn: to where it meets the limit, if that is in sight, and no farther than it
-/// is believed.
+/// Extrapolation of a line beyond the last value: to its intersection with the limit, at most up to the horizon.
 fn drawn_ahead(of: &Forecast) -> Option<f64> {
     let trend = of.trend?;
     let horizon = horizon_cycles(of)?;
     let to_limit = (of.limit_um - trend.now_um) / trend.rate_um;
     let wanted = if to_limit > 0.0 { 1.1 * to_limit } else { 0.0 };
-    // A line that ends far away is drawn a little way only: the figures would be a dot.
+    // A line that ends far away is drawn a short way only, because otherwise the values would shrink to a dot.
     let shown = if wanted > horizon {
         0.1 * horizon
     } else {

@@ -1,19 +1,19 @@
-//! What the judged parts of a die are called in tables.
+//! Names of the judged parts of a die in tables.
 
 use flankscope_record::document::FeatureId;
 
-/// Heads of columns and nouns.
+/// Column headers and nouns.
 #[derive(Debug)]
 pub struct Words {
-    /// Of the number: `tooth`, or `no.` of a patch.
+    /// For the number: `tooth`, or `no.` of a patch.
     pub number: &'static str,
-    /// Of the side of a tooth, or a patch's name; also one such part.
+    /// For the side of a tooth, or a patch's name; also for one such part.
     pub one: &'static str,
-    /// Several of them.
+    /// For several parts.
     pub many: &'static str,
-    /// Which way a map's rows run.
+    /// Direction of a map's rows.
     pub along: &'static str,
-    /// What a map's width is.
+    /// Quantity that a map's width shows.
     pub width: &'static str,
 }
 
@@ -33,7 +33,7 @@ const PATCHES: Words = Words {
 };
 
 impl Words {
-    /// Those for the parts of one die: it has flanks or patches.
+    /// The names for the parts of one die, which are either flanks or patches.
     #[must_use]
     pub fn of<'a>(parts: impl IntoIterator<Item = &'a FeatureId>) -> &'static Self {
         match parts.into_iter().any(|id| id.patch.is_some()) {

@@ -1,8 +1,8 @@
-//! How the die wears while the press runs.
+//! Progress of the die's wear while the press runs.
 
 use crate::world::{MAX_DEPTH_UM, Wear};
 
-/// Damage at the start, and what each press cycle adds.
+/// Damage at the start, and the increment per press cycle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ageing {
     /// Damage before the first cycle.
@@ -12,7 +12,7 @@ pub struct Ageing {
 }
 
 impl Ageing {
-    /// The damage after some cycles, up to the deepest that the model describes.
+    /// The damage after a number of cycles, limited to the greatest depth of the model.
     #[must_use]
     pub fn after(&self, cycles: u32) -> Vec<Wear> {
         let mut wear = self.initial.clone();

@@ -1,34 +1,35 @@
-//! A robot arm that carries the head: where it holds the camera stands in a file, which whoever plays the arm writes.
+//! A robot arm that carries the head: its pose is read from a file, which the program that simulates the arm writes.
 //!
-//! The file is one line of JSON, the camera's true pose in the die's frame as rows of a 4 x 4 matrix in mm, as a pose program is asked
-//! for it (docs/formats/station.md, "Poses from outside"). It is read at every exposure, so it must be replaced whole (written beside, renamed).
+//! The file is one line of JSON: the camera's true pose in the die's frame as rows of a 4 x 4 matrix in mm, in the form that a
+//! pose program is asked for it (docs/formats/station.md, "Poses from outside"). It is read at every exposure, so it must be
+//! replaced atomically (written under another name, then renamed).
 
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
-/// Rows of a rotation are those of one to this.
+/// Tolerance for the orthonormality of the rotation.
 const ORTHONORMAL: f64 = 1e-6;
-/// A pose takes 400 bytes.
+/// Largest file; a pose takes 400 bytes.
 const FILE_BYTES: u64 = 16 * 1024;
 
-/// Where whoever plays the arm says that it holds the head.
+/// The file with the arm's pose.
 #[derive(Debug)]
 pub struct Arm {
     file: PathBuf,
 }
 
 impl Arm {
-    /// Read at every exposure.
+    /// Uses this file, which is read at every exposure.
     pub fn at(file: PathBuf) -> Self {
         Self { file }
     }
 
-    /// Where the camera stands.
+    /// Pose of the camera.
     ///
     /// # Errors
-    /// Nobody has said so, or what is said is no pose.
+    /// The file is missing, or its content is not a pose.
     pub fn tool_from_camera(&self) -> anyhow::Result<Isometry3<f64>> {
         let file = self.file.display();
         let length = std::fs::metadata(&self.file).map(|data| data.len());
@@ -39,12 +40,12 @@ impl Arm {
     }
 }
 
-/// A rigid pose of its rows.
+/// Parses a rigid pose.
 fn pose(text: &str) -> anyhow::Result<Isometry3<f64>> {
     let rows: [[f64; 4]; 4] = serde_json::from_str(text)?;
     let turn = Matrix3::from_fn(|row, column| rows[row][column]);
     let off = (turn.transpose() * turn - Matrix3::identity()).amax();
-    // A NaN is no number below the bound.
+    // Written so that NaN fails the test.
     ensure!(
         off < ORTHONORMAL && turn.determinant() > 0.0 && rows[3] == [0.0, 0.0, 0.0, 1.0],
         "no rigid pose: {text}"
@@ -65,7 +66,7 @@ mod tests {
 
     #[test]
     fn rows_are_a_pose_or_none() {
-        // A quarter turn about z, then 1, 2, 3.
+        // A rotation of 90 degrees about z, then a shift by 1, 2, 3.
         let good = "[[0,-1,0,1],[1,0,0,2],[0,0,1,3],[0,0,0,1]]";
         let moved = pose(good).unwrap() * Point3::new(1.0, 0.0, 0.0);
         assert!((moved - Point3::new(1.0, 3.0, 3.0)).norm() < 1e-12);

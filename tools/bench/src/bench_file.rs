@@ -1,4 +1,4 @@
-//! The bench file (`--bench FILE`): everything about the simulated bench that no command has an option for.
+//! The bench file (`--bench FILE`): all settings of the simulated bench without an option on the command line.
 //!
 //! One TOML file, described in docs/formats/bench.md; `flankscope bench example` writes one with every key, its unit and
 //! its default ([`EXAMPLE`]).
@@ -18,16 +18,16 @@ use crate::world::{MAX_BOUNCES, Saw, SprayEdge};
 /// A bench file with every key: those with a default set to it, the others commented out.
 pub const EXAMPLE: &str = include_str!("bench_file.toml");
 
-/// No bench file comes near this, bytes.
+/// Largest file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Contents of a bench file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BenchFile {
-    /// The die, and how it is put down.
+    /// The die and its placement.
     pub die: DieTable,
-    /// Its surface, beside `--surface`.
+    /// Its surface, in addition to `--surface`.
     pub surface: SurfaceTable,
     /// Motion between head and die while frames are exposed.
     pub motion: MotionTable,
@@ -41,7 +41,7 @@ pub struct BenchFile {
     pub press: PressTable,
 }
 
-/// Form of the die, and how it is put down.
+/// Shape of the die and its placement.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DieTable {
@@ -63,20 +63,20 @@ pub struct DieTable {
     /// Standard deviation of the flanks' manufacturing error along the pitch circle, um.
     #[serde(deserialize_with = "spread_um")]
     pub flanks_um: f64,
-    /// Seed of that error: which die this is.
+    /// Seed of that error; each seed is another die.
     pub flanks_seed: u64,
-    /// Angle by which the die is put down turned, degrees.
+    /// Rotation of the die on the table, degrees.
     #[serde(deserialize_with = "turn_deg")]
     pub turned_deg: f64,
-    /// Whole teeth by which it is put down turned.
+    /// Rotation of the die on the table, in whole teeth.
     pub turned_teeth: i32,
-    /// Another die than the tool file's, `TEETHxMODULE_MM`.
+    /// Another die instead of the tool file's, `TEETHxMODULE_MM`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub other: Option<Given<OtherDie>>,
 }
 
 impl Default for DieTable {
-    /// As drawn.
+    /// The die as drawn.
     fn default() -> Self {
         Self {
             ovality_um: 0.0,
@@ -93,26 +93,26 @@ impl Default for DieTable {
     }
 }
 
-/// The die's surface beside `--surface`.
+/// Surface of the die, in addition to `--surface`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceTable {
-    /// The die is sprayed above this height, mm.
+    /// Height above which the die is sprayed, mm.
     #[serde(
         deserialize_with = "height_mm",
         skip_serializing_if = "Option::is_none"
     )]
     pub sprayed_above_mm: Option<f64>,
-    /// Most places of the die that light touches on its way from projector to camera.
+    /// Largest number of reflections at the die on the light's way from projector to camera.
     #[serde(deserialize_with = "bounces", skip_serializing_if = "Option::is_none")]
     pub bounces: Option<u32>,
 }
 
 impl SurfaceTable {
-    /// Edge of the spray, if there is one.
+    /// Edge of the spray, if a height is given.
     #[must_use]
     pub fn spray_edge(&self) -> Option<SprayEdge> {
-        /// Roughness of the edge that a spray gun leaves, mm.
+        /// Roughness of the edge of sprayed paint, mm.
         const RAGGED_MM: f64 = 0.15;
         self.sprayed_above_mm.map(|above_mm| SprayEdge {
             above_mm,
@@ -137,19 +137,19 @@ pub struct MotionTable {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StagesTable {
-    /// Play of the rotary stage, mdeg: the table stays behind by half of it.
+    /// Backlash of the rotary stage, mdeg: the table lags by half of it.
     #[serde(deserialize_with = "play")]
     pub backlash_mdeg: f64,
-    /// Play of the vertical stage, um.
+    /// Backlash of the vertical stage, µm.
     #[serde(deserialize_with = "play")]
     pub backlash_um: f64,
     /// Saw-tooth error of the rotary encoder, `TEETH:MDEG`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_saw: Option<Given<EncoderSaw>>,
-    /// Stages that are not the station's.
+    /// Fault: the stages are not the station's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trouble: Option<StageTrouble>,
-    /// File with the camera's true pose where an arm carries the head (`stages.moves = "outside"`).
+    /// File with the camera's true pose if an arm carries the head (`stages.moves = "outside"`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arm: Option<PathBuf>,
 }
@@ -158,7 +158,7 @@ pub struct StagesTable {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeadTable {
-    /// Error of the lenses that no distortion model follows: root mean square along each axis, um.
+    /// Error of the lenses that a distortion model cannot describe: root mean square along each axis, µm.
     #[serde(deserialize_with = "lens_error_um")]
     pub lens_error_um: f64,
     /// Drift of the cores' image along the sensor's rows while the head warms, px.
@@ -170,7 +170,7 @@ pub struct HeadTable {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraTable {
-    /// A frame that is lost, repeated or one too many.
+    /// A frame that is lost, repeated or inserted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_fault: Option<Given<FrameFault>>,
     /// Fault of a GigE camera or its link.
@@ -185,7 +185,7 @@ pub struct PressTable {
     /// Strokes per minute.
     #[serde(deserialize_with = "strokes_per_minute")]
     pub strokes_per_minute: f64,
-    /// Share of a stroke during which the press counts as open.
+    /// Fraction of a stroke during which the press counts as open.
     #[serde(deserialize_with = "open_share")]
     pub open_share: f64,
 }
@@ -199,18 +199,18 @@ impl Default for PressTable {
     }
 }
 
-/// What is wrong with the stages.
+/// Faults of the stages' identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StageTrouble {
     /// The rotary stage is another model.
     OtherModel,
-    /// The vertical stage has no memory that would say what it is.
+    /// The vertical stage has no memory with its model.
     NoModel,
 }
 
 impl StageTrouble {
-    /// Spoils the stages that stand on the bench.
+    /// Applies the fault to the stages of the bench.
     pub fn spoil(self, axes: &mut AxisModels) {
         match self {
             Self::OtherModel => axes.rotation.name = "URS100BPP",
@@ -219,11 +219,11 @@ impl StageTrouble {
     }
 }
 
-/// An encoder's saw: teeth per turn, and height.
+/// A sawtooth error: periods per revolution, and amplitude.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderSaw(pub Saw);
 
-/// Why a text is no saw.
+/// The text is not a sawtooth error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "{text} is no error of an encoder; 1 to 10000 teeth per turn and 0 to 1000 mdeg are, for example 84:8"
@@ -255,7 +255,7 @@ impl FromStr for EncoderSaw {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchFileError {
-    /// The operating system refused, or it is no text.
+    /// The operating system returned an error, or the file is not text.
     #[error("cannot read the bench file {}: {source}", path.display())]
     Read {
         /// The file.
@@ -263,7 +263,7 @@ pub enum BenchFileError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Larger than any bench file.
+    /// The file is too large.
     #[error("the bench file {} has {got_bytes} bytes; at most {max_bytes} are possible", path.display())]
     TooLong {
         /// The file.
@@ -282,7 +282,7 @@ pub enum BenchFileError {
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What is wrong there and what would be right.
+        /// Error and expected value.
         message: String,
     },
 }
@@ -291,7 +291,7 @@ impl BenchFile {
     /// Reads a bench file. Paths in it are relative to its folder.
     ///
     /// # Errors
-    /// No readable text, an unknown key, a value out of range.
+    /// The file is unreadable, or has an unknown key or a value out of range.
     pub fn load(path: &Path) -> Result<Self, BenchFileError> {
         let read = |source| BenchFileError::Read {
             path: path.to_path_buf(),
@@ -324,10 +324,10 @@ impl BenchFile {
     }
 }
 
-/// A number of a file, from least to most.
+/// A number between `least` and `most`.
 fn within<'de, D: Deserializer<'de>>(from: D, least: f64, most: f64) -> Result<f64, D::Error> {
     let number = f64::deserialize(from)?;
-    // A NaN is in no range.
+    // NaN is out of every range.
     if (least..=most).contains(&number) {
         return Ok(number);
     }
@@ -387,7 +387,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
-    /// `table.key` of every key in a text of TOML.
+    /// `table.key` of every key in a TOML text.
     fn keys(text: &str) -> BTreeSet<String> {
         let tables: toml::Table = toml::from_str(text).unwrap();
         let of_table = |(table, keys): (&String, &toml::Value)| {
@@ -397,7 +397,7 @@ mod tests {
         tables.iter().flat_map(of_table).collect()
     }
 
-    /// The keys that are commented out in the example.
+    /// The example with its commented-out keys.
     fn with_optional_keys() -> String {
         let uncommented = |line: &str| {
             let key = line.strip_prefix("# ").filter(|rest| rest.contains(" = "));
@@ -413,7 +413,7 @@ mod tests {
         let full: BenchFile = toml::from_str(&with_optional_keys()).unwrap();
         let written = toml::to_string(&full).unwrap();
         assert_eq!(keys(&with_optional_keys()), keys(&written));
-        // Keys without a default: a new one does not compile until it is named here, and fails until the example has it.
+        // Keys without a default: a new one does not compile until it is listed here, and the test fails until the example has it.
         let BenchFile {
             die,
             surface:

@@ -1,11 +1,11 @@
-//! The camera process: renders each exposure straight into the shared memory and hands it over when its readout ends.
+//! The camera process: renders each exposure into shared memory and hands it over when its readout ends.
 //!
-//! Rendering runs on a thread of its own, beside the simulation. A view is computed as soon as the stages know where
-//! they are going, a frame as soon as its exposure has ended. If either is not ready when the camera would hand the
-//! frame over, virtual time is held until it is, so that the bench's own work never counts as the instrument's; the
-//! time held is reported.
+//! Rendering runs on its own thread, parallel to the simulation. A view is prepared as soon as the destination of the stages is
+//! known, a frame as soon as its exposure has ended. If one of them is not finished when the camera should hand the frame over,
+//! virtual time stops until it is, so that the bench's computing time never counts as the instrument's. The time for which it
+//! stopped is reported.
 //!
-//! A [`FrameFault`] makes the camera misbehave as cameras do.
+//! A [`FrameFault`] makes the camera lose, repeat or insert a frame.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
@@ -24,18 +24,18 @@ use crate::devices::{Exposure, ExposureSink, TruePose};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, ViewState, World};
 
-/// A camera that misbehaves at one frame of every capture, or of the first capture only.
+/// A camera fault at one frame of every capture, or of the first capture only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameFault {
-    /// What happens.
+    /// Kind of fault.
     pub kind: FrameFaultKind,
-    /// At which frame since arming, from 0.
+    /// Index of the frame since arming, from 0.
     pub frame: u32,
-    /// Only in the first capture: the second one is good.
+    /// Only in the first capture.
     pub once: bool,
 }
 
-/// How a camera misbehaves.
+/// Kinds of camera faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFaultKind {
     /// The frame is exposed but never arrives.
@@ -73,26 +73,26 @@ impl std::str::FromStr for FrameFault {
     }
 }
 
-/// What is wrong with camera and head.
+/// Faults of camera and head.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Troubles {
-    /// A frame that goes astray.
+    /// A lost, repeated or inserted frame.
     pub fault: Option<FrameFault>,
-    /// How far the cores' image moves along the rows while the head warms, px.
+    /// Shift of the cores' image along the rows while the head warms up, px.
     pub core_drift_px: f64,
 }
 
-/// Where an arm has the head.
+/// Pose of a head that an arm carries.
 #[derive(Debug)]
 struct Carried {
     arm: Arm,
-    /// Where it had it last.
+    /// Latest pose.
     tool_from_camera: Option<Isometry3<f64>>,
 }
 
-/// Prepared views kept: the one being photographed and the next.
+/// Prepared views that are kept: the present one and the next.
 const VIEWS_KEPT: usize = 2;
-/// How often an idle camera looks whether it was armed.
+/// Interval at which an idle camera checks whether it was armed.
 const POLL: Duration = Duration::from_millis(1);
 
 enum Job {
@@ -104,19 +104,19 @@ enum Job {
         exposure: Exposure,
         ended_monotonic_ns: u64,
     },
-    /// The press began another stroke.
+    /// The press began a stroke.
     Cycled(u32),
-    /// The liquid lens was given this voltage.
+    /// The liquid lens was set to this voltage.
     Focused(Option<u16>),
     HandOver {
         counter: u32,
         _hold: Option<Hold>,
     },
-    /// Ends the thread; its truth and its world go to the sender.
+    /// Ends the thread, which sends back the true values and its world.
     Finish(Sender<(Truth, Box<World>)>),
 }
 
-/// The camera's end in the simulation.
+/// The simulation's side of the camera.
 pub struct Camera {
     jobs: Sender<Job>,
     remote: Option<Remote>,
@@ -128,17 +128,16 @@ pub struct CameraThread {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Lets every other thread of the machine go first; for threads that only compute.
+/// Lowers the priority of the calling thread; for threads that only compute.
 pub(crate) fn give_way() {
-    // A system that does not allow it computes as before.
+    // If the system refuses, the thread runs at normal priority.
     let _ = rustix::process::nice(10);
 }
 
-/// Starts the camera thread for a world, with frames going where `open` leads. `gives_way`: it computes only when nobody else
-/// wants to.
+/// Starts the camera thread for a world; frames go to the sink that `open` returns. With `gives_way`, it runs at low priority.
 ///
 /// # Errors
-/// Those of `open`.
+/// Errors of `open`.
 pub fn start<S: FrameSink>(
     world: World,
     patterns: Vec<PatternSpec>,
@@ -156,7 +155,7 @@ pub fn start<S: FrameSink>(
             if gives_way {
                 give_way();
             }
-            // Ports stay on the thread that made them.
+            // Shared-memory ports must stay on the thread that created them.
             match open() {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
@@ -180,10 +179,10 @@ pub fn start<S: FrameSink>(
 }
 
 impl CameraThread {
-    /// Ends the thread and returns what really was photographed, and the world as it was at the end.
+    /// Ends the thread and returns the true poses of all frames, and the final world.
     ///
     /// # Errors
-    /// The thread has ended by itself.
+    /// The thread has ended already.
     pub fn finish(mut self) -> anyhow::Result<(Truth, Box<World>)> {
         let (sender, outcome) = channel();
         self.jobs.send(Job::Finish(sender))?;
@@ -236,7 +235,7 @@ impl ExposureSink for Camera {
     }
 }
 
-/// What the thread works with.
+/// State of the thread.
 struct FrameRenderer<S: FrameSink> {
     world: World,
     patterns: Vec<PatternSpec>,
@@ -245,25 +244,25 @@ struct FrameRenderer<S: FrameSink> {
     ready: VecDeque<(u32, SealedFrame<S::Slot>)>,
     labels: Labels,
     ageing: Ageing,
-    /// Strokes of the press so far, and after how many the world's die is.
+    /// Strokes of the press so far, and the number for which the world's die is valid.
     cycles: [u32; 2],
-    /// What the liquid lens is given, and what the world shows.
+    /// Present setting of the liquid lens, and the one for which the world is valid.
     focus: [Option<u16>; 2],
     troubles: Troubles,
-    /// Who carries the head, if not the stages.
+    /// Source of the pose, if the stages do not carry the head.
     carried: Option<Carried>,
-    /// Captures armed so far.
+    /// Number of captures armed so far.
     captures: u32,
-    /// Frames exposed without a trigger.
+    /// Number of frames exposed without a trigger.
     extra: u32,
-    /// Number of the next frame.
+    /// Index of the next frame.
     next: u32,
-    /// Views prepared so far.
+    /// Number of views prepared so far.
     prepared: u32,
     truth: Truth,
 }
 
-/// A head that warms has moved by two thirds of what it will after so many views.
+/// Time constant of warming up, in views: the drift has reached two thirds of its final value then.
 const VIEWS_OF_WARMING: f64 = 3.0;
 
 impl<S: FrameSink> FrameRenderer<S> {
@@ -298,7 +297,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// Tells the host who this is and what it is armed for.
+    /// Sends the camera's identity and the armed session to the host.
     fn speak(&mut self, session: u32) {
         let [width, height] = self.world.size_px();
         let sensor = self.world.sensor();
@@ -319,7 +318,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// Obeys an arming. Every exposure of the capture before is developed by now; what of it was never read out is dropped.
+    /// Handles an arming. Every exposure of the previous capture is rendered by now; frames that were not read out are dropped.
     fn obey(&mut self) {
         if let Some(arm) = self.sender.armed() {
             self.ready.clear();
@@ -331,7 +330,7 @@ impl<S: FrameSink> FrameRenderer<S> {
 
     fn run(mut self, queue: &Receiver<Job>) {
         self.speak(0);
-        // The stages set off while the last frame of a view is still being read out: that frame goes first.
+        // The stages start to move while the last frame of a view is still read out, so that frame is handled first.
         let mut announced = None;
         loop {
             let job = match queue.try_recv() {
@@ -341,7 +340,7 @@ impl<S: FrameSink> FrameRenderer<S> {
                     self.obey();
                     if self.ready.is_empty()
                         && let Some((rotation_rad, vertical_mm)) = announced.take()
-                        // A retracted head photographs nothing.
+                        // Nothing is rendered for a retracted head.
                         && self.world.sees_die(vertical_mm)
                     {
                         self.prepare(rotation_rad, vertical_mm);
@@ -393,7 +392,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// Moves the cores' image as a head that came cold into a warm die does: at once at first, then ever less.
+    /// Shifts the cores' image for a cold head in a warm die: exponential approach to the final value.
     fn warm(&mut self) {
         let drift_px = self.troubles.core_drift_px;
         if drift_px != 0.0 {
@@ -405,7 +404,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         self.prepared += 1;
     }
 
-    /// Wears the die as the press did since the last view.
+    /// Updates the die's wear to the strokes since the last view.
     fn age(&mut self) {
         let [cycles, shown] = self.cycles;
         if cycles == shown || self.ageing.per_cycle.is_empty() {
@@ -418,7 +417,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// Drives the lens as the controller did since the last view.
+    /// Updates the lens to the controller's setting since the last view.
     fn refocus(&mut self) {
         let [given, shown] = self.focus;
         if given == shown {
@@ -431,7 +430,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// The exposure where the arm has the head, if an arm carries it. Angle and height of the camera stand for those of the stages.
+    /// The exposure at the arm's pose, if an arm carries the head. Angle and height of the camera replace those of the stages.
     fn carried(&mut self, exposure: &Exposure) -> anyhow::Result<Exposure> {
         let Some(carried) = &mut self.carried else {
             return Ok(*exposure);
@@ -450,7 +449,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         })
     }
 
-    /// Turns an exposure into frames: one, unless the camera misbehaves.
+    /// Converts an exposure to frames: one, unless a fault is due.
     fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
         let struck = |fault: &FrameFault| {
             fault.frame == self.labels.exposed() && !(fault.once && self.captures > 1)
@@ -540,7 +539,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         Some(frame)
     }
 
-    /// Hands over every frame of an exposure, and drops what was never asked for.
+    /// Hands over every frame of an exposure, and drops those that were not triggered.
     fn hand_over(&mut self, counter: u32) {
         while let Some((number, frame)) = self.ready.pop_front_if(|(number, _)| *number <= counter)
         {

@@ -1,7 +1,7 @@
-//! What a run of the bench is told: the options of whoever starts it, the bench file, and one document that hands both over.
+//! Configuration of a bench run: command-line options, bench file, and a document that passes both to the bench's process.
 //!
-//! [`BenchArgs`] are options of the command line (by `clap`), a [`BenchFile`] says the rest; [`BenchSetup`] is both, a part of
-//! [`BenchConfig`], which the bench's process reads as one line of JSON.
+//! [`BenchArgs`] are command-line options (by `clap`), a [`BenchFile`] has the other settings; [`BenchSetup`] contains both and
+//! is a part of [`BenchConfig`], which the bench's process reads as one line of JSON.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -15,52 +15,52 @@ use crate::world::{Carries, Surface, Wear};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
-/// Seed where none is given.
+/// Default seed.
 const DEFAULT_SEED: u64 = 1;
 
-/// What stands on the bench, who drives it, and where its frames go.
+/// Configuration of the bench's process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchConfig {
     /// The host's shared-memory root.
     pub root: PathBuf,
-    /// What stands there.
+    /// Die or target on the bench.
     pub stands: Stands,
-    /// Teeth that are judged, for the truth, instead of the tool file's.
+    /// Teeth whose true wear is reported, instead of the tool file's.
     pub teeth: Option<Vec<u32>>,
-    /// Who drives the pins.
+    /// Implementation of the controller.
     pub controller: ControllerKind,
     /// Options and bench file.
     pub setup: BenchSetup,
-    /// The press strokes, else it stands open.
+    /// Whether the press runs; otherwise it stays open.
     pub press_runs: bool,
-    /// The die is put down by hand, eccentric and tilted, else exactly in place.
+    /// Whether the die is placed by hand, eccentric and tilted; otherwise it is placed exactly.
     pub by_hand: bool,
-    /// What the rotary stage carries.
+    /// What the rotary stage carries: die or head.
     pub rotary_carries: Carries,
-    /// Folder of pictures that the DMD is loaded with, as `flankscope patterns --adaptive` writes it; without one, what the head
-    /// file names.
+    /// Folder of pictures loaded into the DMD, as `flankscope patterns --adaptive` writes it; by default the patterns that the
+    /// head file names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pictures: Option<PathBuf>,
 }
 
-/// What stands before the head.
+/// Object in front of the head.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stands {
-    /// The die of a tool file or its folder; its head.toml, else the demo head.
+    /// The die of a tool file or its folder, with its head.toml or else the demo head.
     Tool(PathBuf),
-    /// The calibration target of a folder; before the demo head, whatever the folder says of one.
+    /// The calibration target of a folder, always with the demo head.
     Target(PathBuf),
 }
 
-/// Who drives the pins.
+/// Implementation of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
     /// The controller crate in the bench's own process.
     Sim,
-    /// Its image in QEMU.
+    /// The firmware image in QEMU.
     Qemu,
 }
 
@@ -151,7 +151,7 @@ pub struct BenchSetup {
     pub camera: CameraLink,
 }
 
-/// A bench file says something that the command line contradicts.
+/// The bench file names another die, but the command line names one too.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: [die] other = \"{other}\" beside --die-mesh: the mesh is the die; leave one of them out", path.display())]
 pub struct TwoDies {
@@ -160,7 +160,7 @@ pub struct TwoDies {
 }
 
 impl BenchFileArgs {
-    /// Reads the bench file; for a command that captures nothing.
+    /// Reads the bench file, for a command that captures nothing.
     ///
     /// # Errors
     /// The bench file cannot be read.
@@ -181,7 +181,7 @@ impl BenchFileArgs {
 }
 
 impl BenchArgs {
-    /// Reads the bench file; nothing is said of a die.
+    /// Reads the bench file, without a die.
     ///
     /// # Errors
     /// The bench file cannot be read.
@@ -195,10 +195,10 @@ impl BenchArgs {
 }
 
 impl DieArgs {
-    /// Reads the bench file, and adds the die.
+    /// Reads the bench file, and adds the die's options.
     ///
     /// # Errors
-    /// The bench file cannot be read, or is of another die.
+    /// The bench file cannot be read, or names another die.
     pub fn setup(&self) -> anyhow::Result<BenchSetup> {
         let setup = self.bench.setup()?;
         if let (Some(path), Some(other), Some(_)) =
@@ -217,7 +217,7 @@ impl DieArgs {
 }
 
 impl BenchSetup {
-    /// Most places of the die that light touches.
+    /// Largest number of reflections at the die.
     #[must_use]
     pub fn bounces(&self) -> u32 {
         let said = self.file.surface.bounces;
@@ -241,7 +241,7 @@ pub enum SurfaceKind {
 }
 
 impl SurfaceKind {
-    /// Places that light touches at most, unless said otherwise: under spray what a second flank adds is left out.
+    /// Default number of reflections: on spray, the light from a second flank is neglected.
     #[must_use]
     pub fn bounces(self) -> u32 {
         match self {
@@ -250,7 +250,7 @@ impl SurfaceKind {
         }
     }
 
-    /// How it reflects.
+    /// Its reflection properties.
     #[must_use]
     pub fn surface(self) -> Surface {
         match self {
@@ -262,11 +262,11 @@ impl SurfaceKind {
     }
 }
 
-/// How many virtual seconds pass per second.
+/// Virtual seconds per real second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speed(pub f64);
 
-/// Why a text is no speed.
+/// The text is not a speed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{text} is no speed; 0.1 to {MAX_SPEED} or max is")]
 pub struct SpeedError {

@@ -1,6 +1,6 @@
-//! Damage of any shape: drawn at random, with a depth at every place of a zone, and cut into the mesh of a die.
+//! Random damage of any shape: a depth at every position of a zone, cut into the mesh of a die.
 //!
-//! The shapes are not those of [`crate::world::WearKind`]: an instrument that knew that family would not know these.
+//! The shapes differ from those of [`crate::world::WearKind`], so that an instrument tuned to these is tested with others.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -11,28 +11,28 @@ use rand_pcg::rand_core::SeedableRng;
 
 use crate::world::{DieMesh, FlankId, MAX_DEPTH_UM, WorldError, flank_of_facet};
 
-/// Longest edge of the mesh where damage is cut in, mm; no shape has an edge or a groove narrower than this.
+/// Longest mesh edge where damage is cut in, mm; no shape has an edge or a groove narrower than this.
 const MESH_EDGE_MM: f64 = 0.05;
-/// Damage goes this far beyond the zone's ends in full, mm, and fades out over as much again.
+/// Distance beyond the zone's ends to which damage has full depth, mm; it fades out over the same distance again.
 const BEYOND_MM: f64 = 0.6;
-/// The same along the profile, mm: it ends within a tenth of a module of the zone, at edges that stay.
+/// The corresponding distance along the profile, mm: damage ends within a tenth of a module of the zone, at edges that stay.
 const ASIDE_MM: f64 = 0.045;
-/// Vertices of a drawing's flank lie this close to the involute, mm.
+/// Tolerance for the distance of a drawing's flank vertices from the involute, mm.
 const ON_INVOLUTE_MM: f64 = 0.01;
-/// Points nearer to each other than this are one, mm.
+/// Points nearer to each other than this are the same, mm.
 const SAME_MM: f64 = 1e-6;
-/// Raster on which the largest mean is sought, mm: a disc of 0.25 mm² has 600 places.
+/// Raster of the search for the largest mean, mm: a disc of 0.25 mm² has 600 points.
 pub const RASTER_MM: f64 = 0.02;
-/// Waves that a random field is made of, and their longest length over the shortest of 0.1 mm.
+/// Number of waves in a random field, and ratio of their longest wavelength to the shortest, 0.1 mm.
 const WAVES: usize = 12;
 const SHORTEST_MM: f64 = 0.1;
 const LENGTH_RATIO: f64 = 30.0;
 
-/// Numbers drawn for one purpose.
+/// A random number generator for one purpose.
 pub struct Random(rand_pcg::Pcg64);
 
 impl Random {
-    /// Those of a seed and a purpose below 64.
+    /// Generator for a seed and a purpose below 64.
     #[must_use]
     pub fn new(seed: u64, purpose: u64) -> Self {
         Self(rand_pcg::Pcg64::seed_from_u64(
@@ -40,12 +40,12 @@ impl Random {
         ))
     }
 
-    /// Evenly from 0 to 1.
+    /// Uniform from 0 to 1.
     pub fn uniform(&mut self) -> f64 {
         self.0.random()
     }
 
-    /// Evenly between two numbers.
+    /// Uniform between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
@@ -61,7 +61,7 @@ impl Random {
     }
 }
 
-/// The rectangle that is judged: profile length from the base circle by height, mm.
+/// The judged rectangle: profile length from the base circle by height, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rectangle {
     /// Smallest and largest profile length, mm.
@@ -76,30 +76,30 @@ impl Rectangle {
     }
 }
 
-/// A shape, of no particular depth; places in mm from the rectangle's corner.
+/// A shape of unit depth; positions in mm from the rectangle's corner.
 #[derive(Clone, Debug, PartialEq)]
 enum Shape {
-    /// Beyond a line, with a slope so wide.
+    /// Half-plane beyond a line, with a slope of this width.
     Step(Line, f64),
-    /// Rising from a line over so long.
+    /// Ramp that rises from a line over this length.
     Ramp(Line, f64),
-    /// Falling off from a line to both sides by a length.
+    /// Ridge that falls off to both sides of a line with this length.
     Edge(Line, f64),
-    /// Round, with a flat bottom or as a bowl.
+    /// Round, with a flat bottom or bowl-shaped.
     Spall {
         at: [f64; 2],
         radius: f64,
         flat: bool,
     },
-    /// A groove along a line, so wide and so long.
+    /// A groove along a line, of this width and length.
     Scratch(Line, [f64; 2]),
-    /// A band-limited random field: waves with their phase and height. It stands proud as much as it is deep.
+    /// A band-limited random field: waves with their phase and amplitude. It is as proud as it is deep.
     Field(Vec<([f64; 2], f64, f64)>),
-    /// Several of them.
+    /// Weighted sum of shapes.
     Sum(Vec<(f64, Shape)>),
 }
 
-/// A line through a place, and the unit vector across it.
+/// A line through a point, and the unit vector across it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
     at: [f64; 2],
@@ -107,7 +107,7 @@ struct Line {
 }
 
 impl Line {
-    /// Distance across it and along it.
+    /// Distance of a point across and along the line.
     fn from(&self, p: [f64; 2]) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| p[k] - self.at[k]);
         let [nx, ny] = self.across;
@@ -115,7 +115,7 @@ impl Line {
     }
 }
 
-/// Shapes that are no sums.
+/// Number of shapes other than sums.
 const SIMPLE: usize = 6;
 
 impl Shape {
@@ -196,7 +196,7 @@ impl Shape {
     }
 }
 
-/// A damage with its depth, in the rectangle that is judged.
+/// A damage with its depth in the judged rectangle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damage {
     shape: Shape,
@@ -205,8 +205,8 @@ pub struct Damage {
 }
 
 impl Damage {
-    /// A shape drawn at random in the rectangle whose largest mean loss over a disc is `target_um`, unless it were then
-    /// deeper or higher anywhere than a die can be.
+    /// A random shape in the rectangle, scaled so that its largest mean loss over a disc is `target_um`, unless it would then be
+    /// deeper or more proud somewhere than a die allows.
     #[must_use]
     pub fn draw(seed: u64, judged: Rectangle, disc_area_mm2: f64, target_um: f64) -> Self {
         let mut random = Random::new(seed, 3);
@@ -214,7 +214,7 @@ impl Damage {
         Self::scaled(shape, judged, disc_area_mm2, target_um)
     }
 
-    /// A round hole with a flat bottom of so large an area, somewhere in the rectangle, wholly in it.
+    /// A round hole with a flat bottom of this area at a random position, completely inside the rectangle.
     #[must_use]
     pub fn spot(seed: u64, judged: Rectangle, area_mm2: f64, depth_um: f64) -> Self {
         let mut random = Random::new(seed, 4);
@@ -241,7 +241,7 @@ impl Damage {
             judged,
         };
         let largest_um = damage.largest_mean_um(disc_area_mm2);
-        // A shape that hardly touches the rectangle, or only stands proud, cannot be scaled to a loss.
+        // A shape that hardly touches the rectangle, or is only proud, cannot be scaled to a loss.
         let wanted = if largest_um > 1e-3 {
             target_um / largest_um
         } else {
@@ -258,7 +258,7 @@ impl Damage {
         damage
     }
 
-    /// What kind of shape it is.
+    /// Name of the shape.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.shape.name()
@@ -281,7 +281,7 @@ impl Damage {
         self.scale_mm * fade * self.shape.at([profile_mm - from, height_mm - low])
     }
 
-    /// Its largest mean over any disc of that area in the rectangle, µm.
+    /// Its largest mean over any disc of this area in the rectangle, µm.
     #[must_use]
     pub fn largest_mean_um(&self, disc_area_mm2: f64) -> f64 {
         largest_mean_um(self.judged, disc_area_mm2, RASTER_MM, |profile, height| {
@@ -300,7 +300,7 @@ pub fn largest_mean_um(
     let [columns, rows] = judged
         .size_mm()
         .map(|size| (size / raster_mm).round() as usize);
-    // Sums along each row up to a column.
+    // Cumulative sums along each row.
     let mut sums = vec![vec![0.0; columns + 1]; rows];
     for (row, sums) in sums.iter_mut().enumerate() {
         let height = judged.height_mm[0] + raster_mm * (row as f64 + 0.5);
@@ -335,21 +335,21 @@ pub fn largest_mean_um(
     1e3 * largest
 }
 
-/// A drawing with some flanks in facets fine enough for any damage; its surface is where it was.
+/// A drawing with some flanks meshed finely enough for any damage; the surface itself is unchanged.
 #[derive(Clone, Debug)]
 pub struct Workpiece {
     mesh: Mesh,
     gear: GearSpec,
-    /// Vertices of the fine flanks: number, flank, profile length and height.
+    /// Vertices of the fine flanks: index, flank, profile length and height.
     fine: Vec<(u32, FlankId, [f64; 2])>,
 }
 
 impl Workpiece {
-    /// Replaces each of these flanks by a fine grid: within the rectangle and a little around it no edge is longer than
-    /// a twentieth of a millimetre along profile or height.
+    /// Replaces each of these flanks by a fine grid: within the rectangle and slightly beyond, no edge is longer than 0.05 mm
+    /// along profile or height.
     ///
     /// # Errors
-    /// A flank that the drawing does not have.
+    /// The drawing does not have one of the flanks.
     pub fn new(
         drawing: &Mesh,
         gear: &GearSpec,
@@ -365,7 +365,7 @@ impl Workpiece {
                 flank_of_facet(gear, corners, ON_INVOLUTE_MM) == Some(id)
             };
             let (old, kept): (Vec<_>, Vec<_>) = mesh.triangles.iter().partition(|t| on_flank(t));
-            // The flank is its profile, drawn along the axis.
+            // The flank is its profile, extruded along the axis.
             let mut profile: Vec<[f64; 2]> = old
                 .iter()
                 .flatten()
@@ -398,7 +398,7 @@ impl Workpiece {
                 for column in 0..columns - 1 {
                     let a = first + row * columns + column;
                     let [b, c, d] = [a + 1, a + 1 + columns, a + columns];
-                    // Left flanks have the larger angle: seen from outside, radius and height turn the other way.
+                    // Left flanks have the larger angle, so seen from outside the orientation of radius and height is reversed.
                     match id.flank {
                         Flank::Left => mesh.triangles.extend([[a, c, b], [a, d, c]]),
                         Flank::Right => mesh.triangles.extend([[a, b, c], [a, c, d]]),
@@ -413,10 +413,10 @@ impl Workpiece {
         })
     }
 
-    /// The die with a damage on some of those flanks.
+    /// The die with damage on some of those flanks.
     ///
     /// # Errors
-    /// Vertices that no mesh may have.
+    /// The vertices are not valid for a mesh.
     pub fn cut(&self, damages: &[(FlankId, Damage)]) -> Result<Arc<DieMesh>, WorldError> {
         let mut mesh = self.mesh.clone();
         for &(vertex, id, [profile, height]) in &self.fine {
@@ -434,7 +434,7 @@ impl Workpiece {
     }
 }
 
-/// A line with points in between, none farther than an edge from the next.
+/// A line with intermediate points, so that no segment is longer than a mesh edge.
 fn divided(line: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let mut points = Vec::new();
     for ends in line.windows(2) {
@@ -449,7 +449,7 @@ fn divided(line: &[[f64; 2]]) -> Vec<[f64; 2]> {
     points
 }
 
-/// Heights from end to end: fine where damage may be.
+/// Heights from end to end, closely spaced where damage is possible.
 fn heights_mm([bottom, top]: [f64; 2], [low, high]: [f64; 2]) -> Vec<f64> {
     let reach = 2.0 * BEYOND_MM + MESH_EDGE_MM;
     let [from, to] = [(low - reach).max(bottom), (high + reach).min(top)];

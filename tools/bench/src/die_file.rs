@@ -1,4 +1,4 @@
-//! A die from a file: what is refused is refused before memory is asked for.
+//! Reads a die from a mesh file; invalid files are refused before memory is allocated.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use crate::files::mesh::{self, MeshFileError};
 use crate::world::{DieMesh, MAX_DIE_TRIANGLES, WorldError};
 
-/// Largest file, bytes: text STL of the most triangles takes some 300 bytes for each.
+/// Largest file, bytes: text STL takes about 300 bytes per triangle.
 const MAX_FILE_BYTES: u64 = 4 << 30;
-/// Diagonals of what can be a die, or a part of one, mm.
+/// Plausible diagonals of a die or a part of one, mm.
 const DIAGONAL_MM: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
-/// A PLY header is looked for in so many bytes.
+/// Largest PLY header that is searched, bytes.
 const HEADER_BYTES: u64 = 1 << 16;
 
-/// Why a file is no die.
+/// Why a file is not a die.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DieFileError {
@@ -25,13 +25,13 @@ pub enum DieFileError {
         /// Cause.
         cause: std::io::Error,
     },
-    /// A folder, a device or a pipe.
+    /// The path is a folder, a device or a pipe.
     #[error("the mesh of the die {} is no ordinary file; a PLY or STL file is needed", path.display())]
     NoFile {
         /// The file.
         path: PathBuf,
     },
-    /// More bytes than any mesh of the most triangles has.
+    /// The file is larger than any mesh with the allowed number of triangles.
     #[error(
         "the mesh of the die {} has {got_bytes} bytes; at most {max_bytes} are possible", path.display()
     )]
@@ -43,19 +43,19 @@ pub enum DieFileError {
         /// Largest.
         max_bytes: u64,
     },
-    /// More triangles than a die may have.
+    /// The mesh has too many triangles.
     #[error(
         "the mesh of the die {} has {got} triangles; at most {max} are possible", path.display()
     )]
     Triangles {
         /// The file.
         path: PathBuf,
-        /// Triangles that its header promises.
+        /// Number of triangles by the header.
         got: u64,
-        /// Most.
+        /// Largest number.
         max: usize,
     },
-    /// As small or as large as no die is, read in millimetres.
+    /// The mesh is too small or too large for a die, if its unit is millimetres.
     #[error(
         "the mesh of the die {} is {diagonal_mm} mm from corner to corner when read in millimetres, which no die is; write it in millimetres", path.display()
     )]
@@ -65,7 +65,7 @@ pub enum DieFileError {
         /// Diagonal of its bounding box, mm.
         diagonal_mm: f64,
     },
-    /// Damaged, or no mesh.
+    /// The file is damaged, or not a mesh.
     #[error("the mesh of the die {}: {cause}", path.display())]
     Mesh {
         /// The file.
@@ -73,7 +73,7 @@ pub enum DieFileError {
         /// Cause.
         cause: MeshFileError,
     },
-    /// A mesh that cannot stand on the bench.
+    /// The mesh cannot be used on the bench.
     #[error("the mesh of the die {}: {cause}", path.display())]
     World {
         /// The file.
@@ -86,7 +86,7 @@ pub enum DieFileError {
 /// Reads PLY (text, both byte orders) or STL (text, binary), in millimetres and in the frame of the CAD.
 ///
 /// # Errors
-/// [`DieFileError`] names the file, what is wrong with it and what would be right.
+/// [`DieFileError`] names the file, the error and the expected value.
 pub fn load(path: &Path) -> Result<DieMesh, DieFileError> {
     let path = path.to_path_buf();
     match promised_triangles(&path)? {
@@ -111,7 +111,7 @@ pub fn load(path: &Path) -> Result<DieMesh, DieFileError> {
     }
 }
 
-/// Of the bounding box.
+/// Diagonal of the bounding box.
 fn diagonal_mm(vertices: &[[f64; 3]]) -> f64 {
     let sides = [0, 1, 2].map(|axis| {
         let along = vertices.iter().map(|vertex| vertex[axis]);
@@ -120,13 +120,13 @@ fn diagonal_mm(vertices: &[[f64; 3]]) -> f64 {
     sides.iter().map(|side| side * side).sum::<f64>().sqrt()
 }
 
-/// The number of triangles (faces of PLY) that the file's header promises, if it has one; refuses what is too long.
+/// Number of triangles (PLY faces) by the file's header, if it has one; refuses a file that is too large.
 fn promised_triangles(path: &Path) -> Result<Option<u64>, DieFileError> {
     let unreadable = |cause| DieFileError::Read {
         path: path.to_path_buf(),
         cause,
     };
-    // Asked before opening: to open a pipe is to wait for its writer.
+    // Tested before opening, because opening a pipe waits for its writer.
     let about = std::fs::metadata(path).map_err(unreadable)?;
     if !about.is_file() {
         return Err(DieFileError::NoFile {

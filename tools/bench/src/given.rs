@@ -1,15 +1,15 @@
-//! A value that somebody gives as text, on the command line or in a file.
+//! A value given as text, on the command line or in a file.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A value with the text that somebody gave it as, by which it is handed on and named.
+/// A value together with the text that it was parsed from, which is used to pass it on and in messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Given<T> {
     text: String,
-    /// What the text means.
+    /// Parsed value.
     pub value: T,
 }
 

@@ -1,27 +1,28 @@
-//! The simulated physical bench: die with wear, fibre optics, camera, stages, and the truth.
+//! The simulated physical bench: a die with wear, fibre optics, camera, stages, and the true values.
 //!
-//! It shares no reader, formula or type with what decodes, registers and judges: a world that did would prove nothing.
+//! It shares no parser, formula or type with decoding, registration and evaluation, because otherwise their errors could cancel
+//! and agreement would prove nothing.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`devices`] | LED, DMD, camera and stages as the controller sees them, in virtual time |
 //! | [`world`] | die, light and sensor: what a frame shows |
-//! | [`ageing`] | how the die wears with press cycles |
+//! | [`ageing`] | progress of wear with press cycles |
 //! | [`camera`] | exposures to frames in shared memory |
 //! | `gige` | the same frames as those of a GigE Vision camera (feature `gige`) |
-//! | [`link`] | how its frames leave the bench |
-//! | [`truth`] | what really was photographed |
-//! | [`zones`] | how far the die is from its drawing where it is judged |
+//! | [`link`] | transport of frames to the host, and its faults |
+//! | [`truth`] | true values of everything that was captured |
+//! | [`zones`] | true deviation of the die from its drawing in the judged zones |
 //! | [`damage`] | random damage, cut into the mesh of a die |
-//! | [`die_file`] | a die from anyone's mesh file |
-//! | [`demo`] | what the built-in demo is made of: die, target, tile |
-//! | [`files`] | what tool, head, target and mesh files say, by readers of the bench's own |
-//! | [`specimen`] | what stands before which head, by those files |
-//! | [`bench_file`] | the bench file: what no option says |
-//! | [`given`] | a value that is given as text |
-//! | [`config`] | what a run of the bench is told: options, bench file, and what they are handed over in |
+//! | [`die_file`] | reads a die from a mesh file |
+//! | [`demo`] | the built-in demo: die, target, tile |
+//! | [`files`] | the bench's own parsers of tool, head, target and mesh files |
+//! | [`specimen`] | the object in front of the head, by those files |
+//! | [`bench_file`] | the bench file: settings without a command-line option |
+//! | [`given`] | a value given as text |
+//! | [`config`] | configuration of a run: options, bench file, and the document that passes them on |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
-//! | [`process`] | all of it as a process of its own |
+//! | [`process`] | the whole bench as a separate process |
 
 pub mod ageing;
 pub mod arm;

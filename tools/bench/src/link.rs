@@ -1,4 +1,4 @@
-//! How the camera's frames leave the bench, and what may be wrong on that way.
+//! Transport of the camera's frames from the bench to the host, and its faults.
 
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};

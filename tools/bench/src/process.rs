@@ -1,8 +1,8 @@
 //! The bench as a process: `flankscope bench run`, started by the host as a child.
 //!
-//! It reads a [`BenchConfig`], one line of JSON, from standard input, says hello on standard output (where the controller's
-//! port is), runs until its standard input ends, and says farewell there (what was really photographed, and how well the
-//! bench kept up).
+//! It reads a [`BenchConfig`] (one line of JSON) from standard input, writes a greeting with the controller's port to standard
+//! output, runs until its standard input ends, and then writes the true values of the captures, and whether it kept up with real
+//! time.
 
 use std::io::{BufRead, Read, Write};
 use std::path::PathBuf;
@@ -30,7 +30,7 @@ use crate::specimen::Specimen;
 use crate::truth::{FormTruth, MeshTruth, Truth};
 use crate::world::{Form, Mount, Saw, Wear, World, WorldConfig};
 
-/// The retract switch stands this far above the die.
+/// Height of the retract switch above the die.
 const SWITCH_CLEARANCE_MM: f64 = 14.0;
 
 /// What the simulated bench does.
@@ -64,14 +64,14 @@ pub struct Esp301Args {
 pub struct Hello {
     /// The controller's port.
     pub port: PathBuf,
-    /// What a camera process must be told to find the camera; none where the frames come by themselves.
+    /// Arguments with which a camera process finds the camera; `None` if frames come through shared memory.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Vec<String>>,
     heartbeat_us: u64,
 }
 
 impl Hello {
-    /// How often the host must speak, in real time.
+    /// Interval at which the host must send heartbeats, in real time.
     #[must_use]
     pub fn heartbeat(&self) -> Duration {
         Duration::from_micros(self.heartbeat_us)
@@ -83,7 +83,7 @@ impl Hello {
 pub struct Farewell {
     /// Seed of the run.
     pub seed: u64,
-    /// What was photographed.
+    /// True values of the captures.
     #[serde(flatten)]
     pub truth: Truth,
     /// Virtual time that passed, s.
@@ -92,13 +92,13 @@ pub struct Farewell {
     pub held_ms: f64,
     /// Real time by which the simulation itself fell behind, ms.
     pub lagged_ms: f64,
-    /// How punctual the emulated controller was.
+    /// Timing accuracy of the emulated controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controller: Option<Figures>,
 }
 
 impl Farewell {
-    /// A line for the user when the bench did not keep up with real time.
+    /// A line for the user if the bench did not keep up with real time.
     #[must_use]
     pub fn notice(&self) -> Option<String> {
         let late_ms = self.held_ms + self.lagged_ms;
@@ -118,7 +118,7 @@ impl Farewell {
 pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Run => {
-            // It ends with its standard input, too, but not before it has done what it is at.
+            // It also ends with its standard input, but finishes its present step first; this signal does not wait.
             set_parent_process_death_signal(Some(Signal::KILL))?;
             let mut line = String::new();
             std::io::stdin().lock().read_line(&mut line)?;
@@ -144,7 +144,7 @@ fn stages(args: &Esp301Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Makes the world as it was asked for.
+/// Builds the world by the configuration.
 fn apply(
     config: &mut WorldConfig,
     asked: &BenchConfig,
@@ -240,12 +240,12 @@ fn apply(
 fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let Speed(speed) = asked.setup.speed.value;
     let seed = asked.setup.seed;
-    // Before the first thread.
+    // Must be done before the first thread starts.
     #[cfg(feature = "gige")]
     if asked.setup.camera == CameraLink::Gige {
         crate::gige::network::enter()?;
     }
-    // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
+    // First of all: the emulator must start on the thread that lives longest, and may be missing.
     let controller = match asked.controller {
         ControllerKind::Sim => Controller::InProcess,
         ControllerKind::Qemu if speed != 1.0 => {
@@ -255,8 +255,8 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         }
         ControllerKind::Qemu => {
             let machine = Machine::start(&find_image()?)?;
-            // The emulator lives in real time and waits for the devices on this process's other threads: rendering,
-            // which waits for nobody, gives way.
+            // The emulator runs in real time and waits for the devices on other threads of this process, so rendering, for which
+            // nothing waits, runs at low priority.
             rayon::ThreadPoolBuilder::new()
                 .start_handler(|_| camera::give_way())
                 .build_global()?;
@@ -293,7 +293,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let world = World::new(&config)?;
     let has_lens = config.driven_head.is_some();
     let has_second_projector = config.optics.second_projector.is_some();
-    // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
+    // A camera in real time never waits for a slow host; one faster than real time would overload any host.
     let overflow = if speed > 1.0 {
         Overflow::Wait
     } else {
@@ -341,11 +341,11 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         config.devices.press.open_share = file.press.open_share;
     }
     if let Some(top_mm) = top_mm {
-        // The switch is set up with the die, a little below where the head retracts to.
+        // The switch is placed relative to the die, slightly below the retracted head.
         config.devices.press.switch_mm = top_mm + SWITCH_CLEARANCE_MM;
     }
     let instrument = devices::run_with(config, controller, camera)?;
-    // The controller counts the host's silence in virtual time, the host lives in real time.
+    // The controller's timeout for a silent host is in virtual time, but the host runs in real time.
     let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;
     let heartbeat_us = (silence_s * 1e6 / 3.0) as u64;
     let mut out = std::io::stdout();
@@ -360,7 +360,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     )?;
     out.flush()?;
 
-    // Whatever comes is ignored; the end counts, and it comes even when the host is killed.
+    // Input is ignored; only its end matters, which also occurs if the host is killed.
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
     let outcome = instrument.stop().context("the simulation ended early")?;
     let pace = outcome.pace;

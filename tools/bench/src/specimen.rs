@@ -1,4 +1,4 @@
-//! What stands before which head, by the files of a tool or a target.
+//! The object in front of the head, by the files of a tool or target.
 
 use std::path::Path;
 
@@ -10,26 +10,26 @@ use crate::files::{Gear, HeadFile, Kind, TargetFile, ToolFile, made_head_beside,
 use crate::world::{FlankId, HeadDesign, PatternSpec, WorldConfig};
 use crate::zones::Judged;
 
-/// What stands before which head.
+/// The object in front of a head.
 pub struct Specimen {
-    /// The world: geometry by the files, light, blur and noise of the head as it was made.
+    /// The world: geometry by the files; light, blur and noise by the head's design.
     pub config: WorldConfig,
-    /// What the DMD shows after black.
+    /// Patterns of the DMD after black.
     pub patterns: Vec<PatternSpec>,
-    /// How high it reaches, mm.
+    /// Height of its upper end, mm.
     pub top_mm: Option<f64>,
-    /// What is judged of it.
+    /// Its judged zones.
     pub judged: Option<Judged>,
-    /// Whether it is a gear: what is none has no flanks, wherever its surface lies.
+    /// Whether it is a gear; any other object has no flanks.
     pub has_flanks: bool,
 }
 
 impl Specimen {
-    /// The target of a folder before a head as it was made, whatever the folder's head.toml says of its lenses; its DMD shows the
-    /// patterns that the head.toml names. `seed` draws how the plates lie.
+    /// The target of a folder in front of a head by its design, independent of the lenses in the folder's head.toml; the DMD
+    /// shows the patterns that the head.toml names. `seed` draws the deviations of the plates.
     ///
     /// # Errors
-    /// A file cannot be read, or names patterns that the bench has not.
+    /// A file cannot be read, or names patterns that the bench does not have.
     pub fn target(folder: &Path, seed: u64) -> anyhow::Result<Self> {
         let target = folder.join("target.toml");
         let made = made_head_beside(&target)?;
@@ -46,16 +46,17 @@ impl Specimen {
             patterns: shown(&head, &made)?,
             top_mm: None,
             judged: None,
-            // Nobody asks for a target's.
+            // Not used for a target.
             has_flanks: true,
         })
     }
 
-    /// The die of a tool file or its folder before the head beside it (made as the `optics.toml` there says, with the lenses of the
-    /// `head.toml` unless a liquid lens makes them), else before the demo head; judged are `teeth` instead of the file's.
+    /// The die of a tool file or its folder, in front of the head beside it (by the design in its `optics.toml`, with the lenses
+    /// of its `head.toml` unless a liquid lens determines them), else of the demo head. `teeth` replace the judged teeth of the
+    /// file.
     ///
     /// # Errors
-    /// The files cannot be read, or describe what cannot stand on the bench.
+    /// The files cannot be read, or describe an object that the bench cannot model.
     pub fn tool(path: &Path, teeth: Option<&[u32]>) -> anyhow::Result<Self> {
         let (tool, path) = ToolFile::load(path)?;
         let beside = path.with_file_name("head.toml");
@@ -74,12 +75,12 @@ impl Specimen {
         };
         let gear_spec = match &tool.gear {
             Some(gear) => gear_of(gear, &cad)?,
-            // As before a calibration target: no facet lies on its flanks.
+            // As for a calibration target: no facet lies on its flanks.
             None => demo::gear(),
         };
         let mut config = WorldConfig::new(cad, gear_spec);
         made.impose(&mut config);
-        // A liquid lens makes the lenses of its head what they are.
+        // The liquid lens determines the lenses of its head.
         if config.driven_head.is_none() {
             head.impose(&mut config.optics);
         }
@@ -96,13 +97,13 @@ impl Specimen {
     }
 }
 
-/// Height of the upper end of what is no gear, mm.
+/// Height of the upper end of an object that is not a gear, mm.
 fn top_of(cad: &Mesh) -> f64 {
     let heights = cad.vertices.iter().map(|vertex| vertex[2]);
     heights.fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// What the DMD of a head shows.
+/// Patterns that the DMD of a head shows.
 fn shown(head: &HeadFile, made: &HeadDesign) -> anyhow::Result<Vec<PatternSpec>> {
     let (name, fringes) = match &head.pattern_set {
         Some(name) => (name, &head.fringes),
@@ -142,7 +143,7 @@ fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {
     })
 }
 
-/// The zones that a check of the tool judges, on its drawing; teeth that it does not have are left out.
+/// The zones that a check of the tool judges, on its drawing; teeth that do not exist are left out.
 fn judged(
     tool: &ToolFile,
     gear: &Gear,

@@ -1,4 +1,4 @@
-//! What really was in front of the camera: for the person who judges the instrument, never for the instrument.
+//! True values of everything in front of the camera: for testing the instrument, never available to it.
 
 use std::collections::BTreeMap;
 
@@ -9,21 +9,21 @@ use crate::devices::Exposure;
 use crate::world::{CoreTruth, FlankId, World};
 use crate::zones::{self, Judged, ZoneTruth};
 
-/// Wear of one flank: as the camera's cores met it anywhere on the flank, and where it is judged.
+/// True wear of one flank: at the points that the camera's cores saw anywhere on the flank, and in the judged zone.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FlankTruth {
-    /// Cores that saw this flank, lit, in all views.
+    /// Number of cores that saw this flank, lit, in all views.
     pub cores: usize,
-    /// Mean wear over them, µm; positive for loss.
+    /// Mean wear at these points, µm; positive for loss.
     pub mean_wear_um: f64,
     /// Largest wear, µm.
     pub max_wear_um: f64,
-    /// The judged zone, whether it was seen or not.
+    /// True values in the judged zone, whether it was seen or not.
     #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
     pub zone: Option<ZoneTruth>,
 }
 
-/// The zone that was judged on some of the flanks.
+/// Position of the judged zone on the flanks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ZonePlace {
     /// Smallest and largest radius, mm.
@@ -34,20 +34,20 @@ pub struct ZonePlace {
     pub disc_area_mm2: f64,
 }
 
-/// The mesh that stood there instead of the CAD.
+/// The mesh used instead of the CAD.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeshTruth {
     /// The file.
     pub file: String,
-    /// Triangles with area.
+    /// Number of triangles with area.
     pub triangles: usize,
-    /// Triangles without, which were left out.
+    /// Number of triangles without area, which were left out.
     pub degenerate: usize,
     /// Whether it has an inside.
     pub closed: bool,
 }
 
-/// The form of a bore that was asked for.
+/// The configured shape of a bore.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FormTruth {
     /// Largest minus smallest radius, µm.
@@ -65,12 +65,12 @@ pub struct FormTruth {
     pub bell_mouth_um: f64,
 }
 
-/// What nobody asked for is not said.
+/// Zero values are left out.
 fn is_zero(um: &f64) -> bool {
     *um == 0.0
 }
 
-/// A pose at which frames were taken, stage errors included.
+/// A pose at which frames were captured, including stage errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseTruth {
     /// True angle of the rotary stage, rad.
@@ -81,26 +81,26 @@ pub struct PoseTruth {
     pub frames: usize,
 }
 
-/// Everything photographed.
+/// True values of everything that was captured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
-    /// By `TOOTH:flank`.
+    /// Flanks by `TOOTH:flank`.
     pub flanks: BTreeMap<String, FlankTruth>,
-    /// In order of capture.
+    /// Poses in order of capture.
     pub poses: Vec<PoseTruth>,
-    /// Where on the flanks the figures of zones come from.
+    /// Zone that the values of the flanks apply to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zone: Option<ZonePlace>,
-    /// What stood there instead of the CAD.
+    /// The mesh used instead of the CAD.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub die_mesh: Option<MeshTruth>,
-    /// Form of a die that was put down by hand.
+    /// Shape of a die that was placed by hand.
     #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
     pub form: Option<FormTruth>,
 }
 
 impl Truth {
-    /// Notes one exposure of a view.
+    /// Records one exposure of a view.
     pub fn photographed(&mut self, exposure: &Exposure, cores: &[CoreTruth]) {
         let here = |pose: &PoseTruth| {
             (pose.rotation_rad, pose.vertical_mm) == (exposure.rotation_rad, exposure.vertical_mm)
@@ -124,7 +124,7 @@ impl Truth {
         }
     }
 
-    /// Adds how far the die is from its drawing where it is judged.
+    /// Adds the true deviation of the die from its drawing in the judged zones.
     pub fn compared(&mut self, world: &World, judged: &Judged) {
         for (id, zone) in zones::compare(world, judged) {
             self.flanks.entry(name(id)).or_default().zone = Some(zone);

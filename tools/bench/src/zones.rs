@@ -1,8 +1,8 @@
-//! The truth about judged zones: the exact distance between the die and its drawing.
+//! True values of judged zones: the exact distance between die and drawing.
 //!
-//! A zone is sampled on a fine grid. From every sample the die's surface is looked for along the flank's normal; the distance
-//! of the place found from the drawing's facets of that flank is the deviation there, positive where material stands proud.
-//! The distance comes from a library that the instrument does not use.
+//! A zone is sampled on a fine grid. From every sample, the die's surface is searched along the flank's normal; the distance of
+//! the point found from the drawing's facets of that flank is the deviation there, positive for proud material. The distance is
+//! computed with a library that the instrument does not use.
 
 use std::collections::BTreeMap;
 
@@ -16,20 +16,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::world::{FlankId, World, flank_of_facet};
 
-/// Samples are this far apart along profile and height, mm, unless there are too many.
+/// Spacing of samples along profile and height, mm, unless there are too many.
 const SAMPLE_MM: f64 = 0.02;
-/// Most samples of all flanks: about a second.
+/// Largest number of samples of all flanks, which take about a second.
 const MAX_SAMPLES: f64 = 1.6e6;
-/// The die's surface is looked for this far from the drawing, mm, and no farther than three tenths of a base pitch, where the
-/// neighbouring flank begins.
+/// Range of the search for the die's surface, mm; at most three tenths of a base pitch, where the neighbouring flank begins.
 const REACH_MM: f64 = 1.0;
 const REACH_PITCHES: f64 = 0.3;
-/// Facets of a flank lie this close to its involute, mm: profile corrections are smaller.
+/// Tolerance for the distance of a flank's facets from its involute, mm: profile corrections are smaller.
 const ON_FLANK_MM: f64 = 0.15;
-/// A disc counts when the die's surface was found on at least this share of it.
+/// Smallest fraction of a disc on which the die's surface must be found.
 const LEAST_DISC_SHARE: f64 = 0.5;
 
-/// What is judged: the same rectangle on some flanks of a drawing.
+/// The judged zone: the same rectangle on some flanks of a drawing.
 #[derive(Clone, Debug)]
 pub struct Judged {
     /// Facets of the drawing, mm.
@@ -46,7 +45,7 @@ pub struct Judged {
     pub disc_area_mm2: f64,
 }
 
-/// How far the die is from its drawing within one zone. Absent: the die's surface was not found.
+/// Deviations of the die from its drawing within one zone; absent if the die's surface was not found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ZoneTruth {
     /// Largest mean loss over any disc of the area that lies in the zone, µm.
@@ -57,7 +56,7 @@ pub struct ZoneTruth {
     pub zone_mean_wear_um: Option<f64>,
     /// Largest loss of any sample, µm.
     pub zone_max_wear_um: Option<f64>,
-    /// Share of the zone where there is no surface near the drawing.
+    /// Fraction of the zone without a surface near the drawing.
     pub missing_ratio: f64,
 }
 
@@ -91,15 +90,15 @@ fn drawn_flanks(judged: &Judged) -> BTreeMap<FlankId, TriMesh> {
     let mesh = |(id, corners): (FlankId, Vec<Vector>)| {
         let facets = (0..corners.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]);
         let facets = facets.collect();
-        // It fails only without facets.
+        // Fails only without facets.
         TriMesh::new(corners, facets).ok().map(|mesh| (id, mesh))
     };
     corners.into_iter().filter_map(mesh).collect()
 }
 
-/// Cells of a zone: profile length by height. An involute unrolls into its length without stretching.
+/// Cells of a zone: profile length by height. An involute surface unrolls into its length without stretching.
 struct Grid {
-    /// Along the profile and along the height.
+    /// Number along the profile and along the height.
     count: [usize; 2],
     step_mm: [f64; 2],
     /// Profile length and height of the corner of the first cell.
@@ -126,7 +125,7 @@ impl Grid {
         }
     }
 
-    /// Deviation at the middle of every cell, row by row along the height, mm.
+    /// Deviation at the centre of every cell, row by row along the height, mm.
     fn deviations_mm(
         &self,
         world: &World,
@@ -161,7 +160,7 @@ impl Grid {
 
     fn summed_up(&self, deviations_mm: &[Option<f64>], disc_area_mm2: f64) -> ZoneTruth {
         let found: Vec<f64> = deviations_mm.iter().flatten().copied().collect();
-        // No loss is zero, not minus zero.
+        // Subtracting from 0.0 avoids minus zero.
         let loss_um = |mm: f64| 0.0 - 1e3 * mm;
         let missing = deviations_mm.len() - found.len();
         let discs = self.disc_means_mm(deviations_mm, disc_area_mm2);
@@ -175,12 +174,12 @@ impl Grid {
         }
     }
 
-    /// Least and largest mean over all discs around cells that lie wholly in the zone, mm; none if none does, or if the
-    /// surface is missing.
+    /// Smallest and largest mean over all discs around cells that lie completely in the zone, mm; `None` if there is no such
+    /// disc, or the surface is missing.
     fn disc_means_mm(&self, deviations_mm: &[Option<f64>], area_mm2: f64) -> Option<[f64; 2]> {
         let radius_mm = (area_mm2 / std::f64::consts::PI).sqrt();
         let [columns, rows] = self.count;
-        // Cells between the disc's middle and the zone's rim, at least.
+        // Smallest margin between a disc's centre and the zone's rim.
         let margin = self
             .step_mm
             .map(|step| (radius_mm / step - 0.5).ceil().max(0.0) as usize);
@@ -200,7 +199,7 @@ impl Grid {
             .enumerate()
             .map(|(row, half)| (2 * half + 1) * if row == 0 { 1 } else { 2 })
             .sum();
-        // Sums from the start of every row: what lies between two columns is a difference.
+        // Cumulative sums of every row: the sum between two columns is a difference.
         let mut sums = Vec::with_capacity(rows * (columns + 1));
         for row in deviations_mm.chunks_exact(columns) {
             let mut sum = (0.0, 0usize);

@@ -1,4 +1,4 @@
-//! One calibrated head before one die at one place, and all that is done to the die there.
+//! One calibrated head in front of one die at one place, with all cases of damage that are applied there.
 
 use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::tool::{Temperature, Tool};
@@ -16,27 +16,27 @@ use super::truth;
 use flankscope_bench::damage::{Damage, Workpiece};
 use flankscope_bench::world::{FlankId, Wear, World};
 
-/// Steel.
+/// Thermal expansion of steel.
 const EXPANSION_PER_K: f64 = 11.5e-6;
-/// Numbers for the frames' noise that one case may use; the first of a block are the baseline's.
+/// Number of noise seeds that one case may use; the first of a block are the baseline's.
 const FRAMES_PER_CASE: u32 = 1 << 8;
 
-/// What stands for one block in the results.
+/// Description of one block in the results.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlockReport {
-    /// Its place.
+    /// Tooth and height that it views.
     #[serde(flatten)]
     pub(super) place: Place,
-    /// Standard uncertainty of a point along the view by the calibration alone, µm.
+    /// Standard uncertainty of a point along the view due to the calibration alone, µm.
     pub depth_sigma_um: f64,
-    /// The same across the view.
+    /// Standard uncertainty of a point across the view due to the calibration alone, µm.
     pub lateral_sigma_um: f64,
     /// Why calibrations of other heads, drawn before this one, were refused.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub refused: Vec<String>,
 }
 
-/// One figure: of which case and row, its truth, and what was found.
+/// One result: its case and row, the true value, and the finding.
 pub(super) struct Found {
     pub case: usize,
     pub flank: CadFlank,
@@ -44,11 +44,11 @@ pub(super) struct Found {
     pub feature: Feature,
 }
 
-/// A head, calibrated, and where it looks.
+/// A calibrated head at a place.
 pub(super) struct Block<'a> {
     setup: &'a Setup,
     seed: u64,
-    /// Whether it also captures what only every fourth block does.
+    /// Whether it also captures the cases of every fourth block.
     wholly: bool,
     rig: Rig,
     head: HeadModel,
@@ -92,7 +92,7 @@ impl<'a> Block<'a> {
             flank,
         });
         let workpiece = Workpiece::new(&drawn.cad, &drawn.gear, &flanks, rectangle)?;
-        // A world serves all cases with the same die.
+        // A world is shared by all cases with the same die.
         let mut standing: Option<((bool, u64), World, Option<Baseline>)> = None;
         for (index, case) in cases.iter().enumerate() {
             if matches!(case.group, Group::Spoiled | Group::Measure) && !self.wholly {
@@ -142,7 +142,7 @@ impl<'a> Block<'a> {
         Ok(found)
     }
 
-    /// Does to the die what the case wants; returns what is then true of its left and its right flank, µm.
+    /// Applies the damage of a case to the die; returns the true values of its left and its right flank, µm.
     fn damage(
         &self,
         world: &mut World,
@@ -207,7 +207,7 @@ impl<'a> Block<'a> {
         tool
     }
 
-    /// The new die as the same head sees it, approached once.
+    /// Baseline of the new die by the same head, from one approach.
     fn baseline(&self, world: &mut World) -> anyhow::Result<Baseline> {
         world.stand(None)?;
         let tool = self.setup.tool(self.place, true);

@@ -1,4 +1,4 @@
-//! Heads as their own calibration describes them: the demo target photographed, its dots found, all unknowns adjusted.
+//! Heads as described by their own calibration: the demo target is captured, its dots are found, all unknowns adjusted.
 
 use std::sync::Arc;
 
@@ -15,24 +15,23 @@ use super::capture::add_all;
 use flankscope_bench::world::{HeadDesign, HeadOptics, PatternSpec, World};
 use flankscope_demo::{self as demo, TargetView};
 
-/// What lenses lead light astray by as no distortion model does: root mean square, µm.
+/// Residual distortion of the lenses beyond the distortion model: root mean square, µm.
 pub(super) const LENS_ERROR_UM: f64 = 2.0;
-/// Standard uncertainty of stages that err by ±15 mdeg and ±5 µm, evenly.
+/// Standard uncertainty of stages with errors of ±15 mdeg and ±5 µm, rectangular distribution.
 const STAGE_SIGMA: [f64; 2] = [
     15e-3 * std::f64::consts::PI / 180.0 / 1.732_050_807_568_877_2,
     5e-3 / 1.732_050_807_568_877_2,
 ];
-/// The pattern set of the target before the demo head; before any other its own, for a volume need not be as shallow as this set
-/// demands.
+/// Pattern set of the target with the demo head. Any other head uses its own set, because its volume may be deeper than this set allows.
 const PATTERNS: &str = "insitu12";
 
-/// Views by which two projectors are compared.
+/// Number of views for comparing two projectors.
 const APART_VIEWS: usize = 4;
 
-/// Heads that are tried in place of one whose calibration is refused.
+/// Largest number of heads that are tried if calibrations are refused.
 const ATTEMPTS: u64 = 8;
 
-/// A head, its calibration, and how many others were refused before it.
+/// A head, its calibration, and the reasons for which others were refused before it.
 pub(super) struct Calibrated {
     pub rig: Rig,
     pub head: HeadModel,
@@ -40,8 +39,8 @@ pub(super) struct Calibrated {
 }
 
 impl Calibrated {
-    /// The first head of those that `seed` draws whose calibration goes through: the code refuses what it does not trust, and
-    /// somebody else's head is then used.
+    /// The first head drawn from `seed` whose calibration is accepted. The calibration refuses results that it does not trust;
+    /// the next head is then used.
     pub fn first_of(made: &HeadDesign, seed: u64) -> anyhow::Result<Self> {
         let mut refused = Vec::new();
         for attempt in 0..ATTEMPTS {
@@ -56,18 +55,18 @@ impl Calibrated {
     }
 }
 
-/// What a calibration is made of.
+/// The true head for a calibration.
 pub(super) struct Rig {
-    /// The head as it was made.
+    /// Design of the head.
     made: HeadDesign,
-    /// Its lenses as they are.
+    /// Its true lenses.
     pub optics: HeadOptics,
-    /// Draws its cores, gains and lenses.
+    /// Seed of its cores, gains and lenses.
     pub head_seed: u64,
 }
 
 impl Rig {
-    /// A head with the individual traits of `head_seed`.
+    /// A head with the individual properties of `head_seed`.
     fn new(made: &HeadDesign, head_seed: u64) -> Self {
         let mut optics = made.optics();
         optics.make_uneven(LENS_ERROR_UM, head_seed);
@@ -78,8 +77,8 @@ impl Rig {
         }
     }
 
-    /// The head as a calibration finds it: `seed` draws how the target's plates lie, the stages' errors and the noise. Beside
-    /// it stands what the calibration says of itself.
+    /// The head by its calibration; `seed` draws the deviations of the target's plates, the stages' errors and the noise. The
+    /// head file contains the record of the calibration.
     fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
         let target = demo::target_of(&self.made);
         let mut config = demo::target_world(&target, seed);
@@ -117,7 +116,7 @@ impl Rig {
             Ok(sums)
         };
 
-        // The bundle's cores from the blank plate, wherever the drawing puts them.
+        // The bundle's cores are found on the blank plate, independent of the drawing.
         let blank = views.first().context("the target has no blank plate")?;
         let mut start = demo::drawn_head_of(&self.made);
         let without_circle = HeadModel {
@@ -145,7 +144,7 @@ impl Rig {
             let Some(plate) = view.plate else { continue };
             let lit = by_core.columns_of_each(&sums(&by_core, view)?)?;
             let sighting = Sighting::new(number, plate, view.told, &lit, &flat, &target, &start)?;
-            // No plate is kept aside here; tens of thousands of cells are not what some dozen unknowns were fitted to.
+            // No plate is withheld for testing here: some dozen unknowns cannot overfit tens of thousands of cells.
             if seen.len() < APART_VIEWS {
                 seen.push((sighting.clone(), lit));
             }

@@ -1,4 +1,4 @@
-//! Random damage through frames: shapes that nobody tuned anything to, against the exact distance of die and drawing.
+//! Random damage measured through frames: shapes that were not used for tuning, compared with the exact distance of die and drawing.
 
 use flankscope_gear_cad::Flank;
 use flankscope_profilometry::decode::GridKind;
@@ -12,27 +12,27 @@ use flankscope_bench::damage::{Damage, Random, Workpiece};
 use flankscope_bench::world::{FlankId, World};
 use flankscope_bench::zones::{Judged, ZoneTruth, compare};
 
-/// Damages that one calibrated head looks at, two at a time: one on each flank of a tooth.
+/// Number of damages per calibrated head, two at a time: one on each flank of a tooth.
 const PER_HEAD: u32 = 76;
-/// True depths are drawn evenly up to this, µm.
+/// True depths are uniformly distributed up to this, µm.
 const DEEPEST_UM: f64 = 120.0;
 
-/// One damage, what is true of it, and what was found.
+/// One damage, its true values, and the finding.
 #[derive(Clone, Debug)]
 pub struct Judgement {
     /// Its shape.
     pub shape: &'static str,
-    /// The zone by exact distances.
+    /// True values in the zone, by exact distances.
     pub truth: ZoneTruth,
-    /// The instrument's word.
+    /// Result of the instrument.
     pub found: Feature,
 }
 
-/// Cuts `count` random damages into dies that are else as drawn, and judges each by frames. Heads are calibrated on the bench,
-/// one for every 76 damages, each at a place of its own.
+/// Cuts `count` random damages into dies that otherwise follow the drawing, and judges each from frames. Heads are calibrated on
+/// the bench, one for every 76 damages, each at its own place.
 ///
 /// # Errors
-/// The bench or the instrument refuses something.
+/// The bench or the instrument returns an error.
 pub fn random_damages(
     count: u32,
     seed: u64,

@@ -1,4 +1,4 @@
-//! One capture of one view, from the bench's light to a judged flank, without the processes in between.
+//! One capture of one view, from the bench's light to a judged flank, without separate processes.
 
 use std::sync::Arc;
 
@@ -21,14 +21,14 @@ use flankscope_bench::world::{PatternSpec, ViewState, World};
 /// Half the range of the stages' errors: rotation, rad; vertical, mm.
 const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
 const VERTICAL_ERROR_MM: f64 = 5e-3;
-/// What the host believes: a tool, a head, and the decoding and judging made from them.
+/// The host's data: tool, head, decoder and evaluator.
 pub(super) struct Instrument {
     decoder: Arc<Decoder>,
     evaluator: Evaluator,
     plan: Arc<ViewPlan>,
 }
 
-/// Number of the pattern that a frame shows, 0 for none, and of its exposure; `sets` are periods and steps.
+/// Pattern number of a frame, 0 for none, and index of its exposure; `sets` are periods and steps.
 pub(super) fn shown(kind: FrameKind, sets: &[(f64, u32)]) -> (u32, usize) {
     match kind {
         FrameKind::Dark => (0, 0),
@@ -44,8 +44,9 @@ pub(super) fn shown(kind: FrameKind, sets: &[(f64, u32)]) -> (u32, usize) {
     }
 }
 
-/// Adds all frames of a view to its sums: the dark one and all patterns by the first projector, then all by the second, if there is
-/// one. `photograph` takes one: what each projector shows, number of the exposure, number of the frame.
+/// Adds all frames of a view to its sums: the dark one and all patterns by the first projector, then all by the second, if there
+/// is one. `photograph` renders one frame; its arguments are the pattern of each projector, the index of the exposure, and the
+/// index of the frame.
 pub(super) fn add_all(
     sums: &mut Accumulator,
     decoder: &Decoder,
@@ -85,12 +86,12 @@ pub(super) fn add_all(
     Ok(())
 }
 
-/// What is wrong with one capture, beside the stages' own errors.
+/// Faults of one capture, besides the stages' errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Trouble {
-    /// The die stands turned by this angle against what the stage says, rad.
+    /// Rotation of the die relative to the stage's reading, rad.
     pub turned_rad: f64,
-    /// Part of the light that is missing.
+    /// Fraction of the light that is missing.
     pub dimmed: f64,
 }
 
@@ -131,7 +132,7 @@ impl Instrument {
         })
     }
 
-    /// Puts die and head where the stages go; `draw` draws their errors.
+    /// Moves die and head to the view's position; `draw` draws the stages' errors.
     pub fn approach(
         &self,
         world: &World,
@@ -147,7 +148,7 @@ impl Instrument {
         Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
     }
 
-    /// Captures and judges one view; `number` draws the frames' noise.
+    /// Captures and judges one view; `number` is the seed of the frames' noise.
     pub fn capture(
         &self,
         world: &World,
@@ -171,7 +172,7 @@ impl Instrument {
     }
 }
 
-/// What was found of one flank of the tooth.
+/// The result for one flank of the tooth.
 pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feature> {
     outcome
         .flanks

@@ -1,4 +1,4 @@
-//! What is captured: states of die and instrument.
+//! Cases of the study: states of die and instrument.
 
 use flankscope_metrology::tool::Datum;
 use flankscope_profilometry::decode::GridKind;
@@ -6,71 +6,71 @@ use flankscope_profilometry::decode::GridKind;
 use super::capture::Trouble;
 use flankscope_bench::world::WearKind;
 
-/// What was done to the die.
+/// Damage of the die.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Damaged {
-    /// Nothing.
+    /// None.
     Nothing,
-    /// A built-in kind on the left flank (with some kinds, on others as well), and its largest depth in µm.
+    /// A built-in kind on the left flank (some kinds affect other flanks, too), and its largest depth in µm.
     Wear(WearKind, f64),
-    /// On both flanks a round hole with a flat bottom somewhere in the zone.
+    /// A round hole with a flat bottom on both flanks, somewhere in the zone.
     Spot {
         /// Its area, mm².
         area_mm2: f64,
         /// Its depth, µm.
         depth_um: f64,
     },
-    /// On both flanks a shape drawn at random, whose largest mean loss over a disc is this, µm.
+    /// A random shape on both flanks, with this largest mean loss over a disc, µm.
     Random(f64),
 }
 
-/// What the right flank's figure counts for.
+/// Use of the right flank's result.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Right {
-    /// Nothing.
+    /// Not used.
     Ignored,
-    /// The same row.
+    /// Counts in the same row.
     Same,
-    /// A row of its own.
+    /// Counts in its own row.
     Row(String),
 }
 
-/// One cell of the study: a state of die and instrument.
+/// One case: a state of die and instrument.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Name in the tables.
     pub name: String,
-    /// Group of cells that one table shows.
+    /// Group of cases that one table shows.
     pub group: Group,
     /// Damage.
     pub damage: Damaged,
-    /// What the right flank counts for.
+    /// Use of the right flank's result.
     pub right: Right,
-    /// What the pose rests on.
+    /// Surfaces that determine the pose.
     pub datum: Datum,
     /// Temperature of the die above that of its CAD, K, and whether the instrument knows it.
     pub warm: Option<(f64, bool)>,
-    /// What a point is made of.
+    /// How pixels are grouped into points.
     pub grid: GridKind,
     /// Light missing or die turned.
     pub(super) trouble: Trouble,
-    /// Its place among all cases: what is drawn for it does not depend on which others are looked at.
+    /// Its index among all cases, so that its random numbers do not depend on the selection of cases.
     pub(super) number: u32,
 }
 
-/// What a cell is about.
+/// Topic of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Group {
-    /// Depth against CAD of a die that is as its drawing.
+    /// Depth relative to CAD for a die that follows its drawing.
     Drawn,
-    /// Depth against CAD of a die as built.
+    /// Depth relative to CAD for a die as built.
     Built,
     /// Depth since a baseline of the new die, as built.
     Baseline,
-    /// Captures that deserve no verdict.
+    /// Captures with faults, which must not get a verdict.
     Spoiled,
-    /// One measure taken away; a die that is as its drawing.
+    /// One safeguard switched off, for a die that follows its drawing.
     Measure,
 }
 
@@ -81,7 +81,7 @@ impl Group {
     }
 }
 
-/// All cells of the full study.
+/// All cases of the full study.
 #[must_use]
 pub fn cases() -> Vec<Case> {
     let case = |group, name: &str, damage| Case {

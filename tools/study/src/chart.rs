@@ -2,22 +2,22 @@
 
 use std::fmt::{Error, Write as _};
 
-/// Side lengths and the margins left and below, px of the drawing.
+/// Size and the left and lower margins, px of the drawing.
 pub(super) struct Frame {
     pub size: [f64; 2],
     pub margin: [f64; 2],
-    /// Largest value up and down, µm.
+    /// Range up and down, µm.
     pub reach_um: f64,
 }
 
 impl Frame {
-    /// Where a value lies.
+    /// Vertical position of a value.
     pub fn y(&self, um: f64) -> f64 {
         let half = 0.5 * self.size[1];
         half - (half - self.margin[1]) * um / self.reach_um
     }
 
-    /// The drawing's head and five lines with their values, rounded to so many decimals; to be ended by `</svg>`.
+    /// The beginning of the drawing and five lines with their values, rounded to `decimals`; the caller appends `</svg>`.
     pub fn begin(&self, decimals: usize) -> Result<String, Error> {
         let ([width, height], left) = (self.size, self.margin[0]);
         let mut svg = format!(

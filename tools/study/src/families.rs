@@ -1,4 +1,4 @@
-//! Families of dies that the verdict once presumed away, drawn at random: how often each ends in which word.
+//! Families of randomly drawn dies that earlier versions of the verdict assumed not to occur: frequency of each verdict.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -22,17 +22,17 @@ use super::structure::{Plan, Section, Structure, cut, profile_mm};
 /// Limits of the demo tool, µm.
 pub(super) const WARN_UM: f64 = 30.0;
 pub(super) const LIMIT_UM: f64 = 50.0;
-/// No opening is deeper, mm: the gap to the facing flank is 1.5 mm wide.
+/// Greatest depth of an opening, mm: the gap to the opposite flank is 1.5 mm wide.
 const DEEPEST_MM: f64 = 0.4;
 /// Roughness of a sound flank, standard deviation, and its grain, mm.
 const ROUGH_MM: f64 = 3e-3;
 const GRAIN_MM: f64 = 0.03;
-/// Raster of the truth of hairlines, mm.
+/// Raster of the true values of hairlines, mm.
 const RASTER_MM: f64 = 0.01;
-/// A place of a flank is in view where a core's light falls within such a square, mm: wider than cores lie apart on it.
+/// A point of a flank is in view if a core's light falls into a square of this size, mm, which is larger than the cores' spacing on it.
 const SEEN_MM: f64 = 0.1;
 
-/// What a die is like.
+/// Kinds of dies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Family {
     /// Grooves or pits finer than a cell, side by side.
@@ -54,7 +54,7 @@ pub enum Family {
 }
 
 impl Family {
-    /// All of them.
+    /// All families.
     pub const ALL: [Self; 8] = [
         Self::Texture,
         Self::Opening,
@@ -66,13 +66,13 @@ impl Family {
         Self::Class7,
     ];
 
-    /// Whether its dies deserve a go.
+    /// Whether its dies should get a "go".
     #[must_use]
     pub fn is_sound(self) -> bool {
         matches!(self, Self::Hairlines | Self::Rough | Self::Class7)
     }
 
-    /// As tables have it.
+    /// Name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -87,43 +87,43 @@ impl Family {
         }
     }
 
-    /// Whether heads of this family may look against a baseline of the sound die, and those with odd numbers do.
+    /// Whether heads with odd numbers use a baseline of the sound die for this family.
     fn has_baselines(self) -> bool {
         matches!(self, Self::Texture | Self::BothSides)
     }
 }
 
-/// One thing that is judged, a flank or of [`Family::Neighbours`] a check: what is true of it and what was found.
+/// One judged item: a flank, or for [`Family::Neighbours`] a check; its true values and the finding.
 #[derive(Clone, Debug)]
 pub struct Draw {
     /// Its family.
     pub family: Family,
     /// Number of its head.
     pub head: u32,
-    /// What it is.
+    /// Description of the item.
     pub what: String,
-    /// True wear, µm; of a check that of the worst flank in view, infinite where a tooth is missing.
+    /// True wear, µm; for a check, that of the worst flank in view, infinite if a tooth is missing.
     pub truth_um: f64,
-    /// The word that counts.
+    /// The verdict that counts.
     pub word: Word,
-    /// What was said of the flank; none of a check.
+    /// Result for the flank; `None` for a check.
     pub found: Option<Feature>,
 }
 
 impl Draw {
-    /// Whether it is beyond the stop limit.
+    /// Whether the true wear exceeds the stop limit.
     #[must_use]
     pub fn is_beyond(&self) -> bool {
         self.truth_um > LIMIT_UM
     }
 
-    /// A go beyond the stop limit.
+    /// Whether it got a "go" although the true wear exceeds the stop limit.
     #[must_use]
     pub fn is_false_go(&self) -> bool {
         self.is_beyond() && self.word == Word::Go
     }
 
-    /// Whether what is claimed of a judged flank holds; none where nothing is claimed.
+    /// Whether the true value is within the interval or bound stated for a flank; `None` if none is stated.
     #[must_use]
     pub fn holds(&self) -> Option<bool> {
         let found = self.found.as_ref()?;
@@ -135,7 +135,7 @@ impl Draw {
         judged.then_some((wear_um - self.truth_um).abs() <= u95_um)
     }
 
-    /// In a line.
+    /// A line of text.
     #[must_use]
     pub fn line(&self) -> String {
         let mut line = format!(
@@ -165,27 +165,27 @@ impl Draw {
     }
 }
 
-/// A die, and what is true of its two judged flanks where that is known in closed form, µm.
+/// A die, and the true wear of its two judged flanks if known in closed form, µm.
 struct Die {
     what: String,
     mesh: Mesh,
     truths_um: Option<[f64; 2]>,
-    /// What is wrong with a neighbour.
+    /// Damage of a neighbour.
     beside: Option<Beside>,
 }
 
 /// Damage of a neighbour of the judged tooth.
 struct Beside {
     id: FlankId,
-    /// Loss of its flank, µm; infinite where the tooth is missing.
+    /// Loss of its flank, µm; infinite if the tooth is missing.
     loss_um: f64,
-    /// Above this height, mm.
+    /// The damage is above this height, mm.
     from_mm: f64,
 }
 
 impl Beside {
-    /// The largest mean loss over a disc as far as camera and projector see the flank, µm: what is turned away from them, or
-    /// beyond the circle of the projector that the head file states, is not in view and counts as no loss.
+    /// The largest mean loss over a disc, for the part of the flank that camera and projector see, µm: parts facing away from
+    /// them, or beyond the projector circle in the head file, are not in view and count as no loss.
     fn in_view_um(&self, stand: &Stand, lit: &[CoreTruth]) -> f64 {
         if self.loss_um.is_infinite() {
             return f64::INFINITY;
@@ -224,10 +224,10 @@ impl Beside {
     }
 }
 
-/// Draws `views` dies of a family before each of `heads` heads, and judges them.
+/// Draws `views` dies of a family for each of `heads` heads, and judges them.
 ///
 /// # Errors
-/// The bench or the instrument refuses something.
+/// The bench or the instrument returns an error.
 pub fn draws(
     family: Family,
     (heads, views): (u32, u32),
@@ -308,12 +308,12 @@ fn die(family: Family, random: &mut Random, stand: &Stand) -> Die {
     }
 }
 
-/// A number between two, evenly in its logarithm.
+/// A random number between two, uniform in its logarithm.
 fn log_between(random: &mut Random, low: f64, high: f64) -> f64 {
     low * (high / low).powf(random.uniform())
 }
 
-/// True in so many of a hundred cases.
+/// True with a probability in percent.
 fn chance(random: &mut Random, percent: f64) -> bool {
     100.0 * random.uniform() < percent
 }
@@ -362,7 +362,7 @@ fn section(random: &mut Random) -> Section {
     }
 }
 
-/// A third each along, across and at any angle.
+/// One third each along, across and at a random angle.
 fn line(random: &mut Random) -> Plan {
     Plan::Line(match (3.0 * random.uniform()) as u32 {
         0 => 0.0,
@@ -377,7 +377,7 @@ fn texture(random: &mut Random, judged: Rectangle) -> Structure {
     } else {
         line(random)
     };
-    // Wider pits: the mesh is as fine along as across.
+    // Wider pits: the mesh is equally fine along and across.
     let finest_mm = match plan {
         Plan::Line(angle) if angle == 0.0 || angle == FRAC_PI_2 => 0.03,
         Plan::Line(_) | Plan::Pit => 0.04,
@@ -438,7 +438,7 @@ fn opening(random: &mut Random, judged: Rectangle) -> Structure {
     }
 }
 
-/// A bore by the loss of every tooth's flanks, µm.
+/// A bore with a given loss of every tooth's flanks, µm.
 fn by_flank(loss_um: impl Fn(FlankId) -> f64) -> Mesh {
     let loss = |at: Place| {
         let (tooth, flank) = (at.tooth, at.flank);
@@ -487,7 +487,7 @@ fn neighbours(random: &mut Random, stand: &Stand) -> Die {
     };
     let is_missing = chance(random, 25.0);
     let um = log_between(random, LIMIT_UM + 5.0, 200.0);
-    // The flanks of both neighbours that face the judged tooth, and the ones that turn away.
+    // The flanks of both neighbours that face the judged tooth, or those that face away.
     let flank = if chance(random, 50.0) {
         Flank::Left
     } else {
@@ -588,7 +588,7 @@ fn hairlines(random: &mut Random, stand: &Stand) -> Die {
     }
 }
 
-/// Lines of every direction on the same flank: as fine across as along.
+/// Lines in several directions on the same flank: the mesh is equally fine across and along.
 fn cut_lines(gear: &GearSpec, lines: &[(FlankId, Structure)], judged: Rectangle) -> Mesh {
     let loss = |at: Place| {
         let (tooth, flank) = (at.tooth, at.flank);
@@ -603,7 +603,7 @@ fn cut_lines(gear: &GearSpec, lines: &[(FlankId, Structure)], judged: Rectangle)
     bore(loss, &fine)
 }
 
-/// All of a flank, so fine in the judged heights.
+/// The whole flank, with this mesh step in the judged heights.
 fn whole(id: FlankId, judged: Rectangle, step_mm: f64) -> Fine {
     let [low, high] = judged.height_mm;
     Fine {
@@ -639,7 +639,7 @@ fn rough(random: &mut Random, stand: &Stand) -> Die {
     }
 }
 
-/// Every flank off by its pitch, with a slope along profile and height and a crown of its own.
+/// Every flank has its own pitch error, slopes along profile and height, and crowning.
 fn class7(random: &mut Random, stand: &Stand) -> Die {
     let gear = stand.gear();
     let forms: BTreeMap<(u32, bool), [f64; 4]> = (1..=gear.teeth)
@@ -667,7 +667,7 @@ fn class7(random: &mut Random, stand: &Stand) -> Die {
     }
 }
 
-/// Draws all families and writes `families.md` with what came of each.
+/// Draws all families and writes `families.md` with the results of each.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let mut text = format!(
         "# Families of dies, drawn at random\n\nMade by `{}` at commit \

@@ -1,4 +1,4 @@
-//! The study as a page: tables in Markdown, every error as SVG, all samples as JSON.
+//! The study's results: tables in Markdown, errors as SVG, all samples as JSON.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -20,10 +20,10 @@ const MARGIN: [f64; 2] = [60.0, 44.0];
 /// Limits of the demo tool, µm.
 const WARN_UM: f64 = 30.0;
 const LIMIT_UM: f64 = 50.0;
-/// A truth counts as at the limit from here on, µm: random shapes are scaled to it in floating point.
+/// True values from here on count as at the limit, µm: random shapes are scaled to it in floating point.
 const AT_LIMIT_UM: f64 = LIMIT_UM - 1e-6;
 
-/// What `study.json` holds.
+/// Contents of `study.json`.
 #[derive(Serialize)]
 struct Document<'a> {
     commit: &'a str,
@@ -96,7 +96,7 @@ pub(super) fn command(args: &Args) -> String {
     format!("cargo xtask study{size} --seed {seed}{head}{surface}{rows}")
 }
 
-/// What a surface is called.
+/// Name of a surface.
 pub(super) fn word(surface: SurfaceKind) -> &'static str {
     match surface {
         SurfaceKind::Sprayed => "sprayed",
@@ -117,7 +117,7 @@ impl Page<'_> {
         self.outcome.cells.iter().filter(move |c| c.group == group)
     }
 
-    /// Samples of a damaged or sound flank that deserve a verdict, against CAD or since a baseline.
+    /// Samples of a damaged or sound flank that should get a verdict, relative to CAD or to a baseline.
     fn judged(&self, since: bool) -> impl Iterator<Item = &Sample> {
         let wanted = move |c: &&Cell| match c.group {
             Group::Drawn | Group::Built => !since,
@@ -491,9 +491,9 @@ fn by_wear(sample: &Sample) -> bool {
         .is_some_and(|why| why.starts_with("wear "))
 }
 
-/// Upper end of the one-sided 95 % interval for a rate of which `hits` of `all` were seen (Clopper and Pearson 1934).
+/// Upper end of the one-sided 95 % interval for a rate with `hits` of `all` (Clopper and Pearson 1934).
 pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
-    // Probability of at most that many, summed from the likeliest way down to none by ratios of neighbours.
+    // Cumulative binomial probability, summed downwards from the most likely term by ratios of neighbours.
     let at_most = |rate: f64| {
         let mut term = (all as f64) * (1.0 - rate).ln();
         let mut sum = term.exp();
@@ -523,7 +523,7 @@ fn percent(share: f64) -> String {
     }
 }
 
-/// Measured minus true over the truth, every figure with its U95.
+/// Measured minus true value against the true value, each with its U95.
 fn errors(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     let ([width, height], [left, low]) = (SIZE, MARGIN);
     let groups = [
@@ -564,7 +564,7 @@ fn errors(cells: &[Cell]) -> Result<String, std::fmt::Error> {
         height - 6.0
     )?;
     for (i, (group, name, colour)) in groups.into_iter().enumerate() {
-        // Side by side, so that all are seen.
+        // Shifted sideways, so that all are visible.
         let aside = 3.0 * (i as f64 - 1.0);
         for [truth, error, u95] in figures(group) {
             let fill = if error.abs() <= u95 { colour } else { "white" };
@@ -592,7 +592,7 @@ mod tests {
 
     #[test]
     fn bounds_of_rates_are_those_of_the_tables() {
-        // None of n: 1 - 0.05^(1/n). Five of 100: 10.225 % (Clopper and Pearson's tables).
+        // 0 of n: 1 - 0.05^(1/n). 5 of 100: 10.225 % (Clopper and Pearson's tables).
         assert!((upper_bound(0, 200) - (1.0 - 0.05_f64.powf(1.0 / 200.0))).abs() < 1e-9);
         assert!((upper_bound(5, 100) - 0.10225).abs() < 1e-4);
         assert!((upper_bound(3, 3) - 1.0).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! Resolution chart: openings of every width and depth on the flanks of a die, and what the instrument says of each.
+//! Resolution chart: openings of several widths and depths on the flanks of a die, and the instrument's verdict on each.
 
 use std::fmt::Write as _;
 
@@ -17,15 +17,15 @@ use super::structure::{Plan, Section, Structure, cut};
 
 const WIDTHS_MM: [f64; 5] = [0.02, 0.04, 0.08, 0.16, 0.32];
 const DEPTHS_UM: [f64; 6] = [320.0, 160.0, 80.0, 40.0, 20.0, 10.0];
-/// Middle of neighbours over the width.
+/// Ratio of the distance between neighbours to the width.
 const GROOVE_PITCH: f64 = 1.75;
 const PIT_PITCH: f64 = 1.25;
-/// Heads that work side by side, each the same.
+/// Number of identical heads that work in parallel.
 const WORKERS: usize = 2;
-/// Height of what is covered by openings side by side, mm: three discs.
+/// Height of the area covered by adjacent openings, mm: three discs.
 const COVERED_MM: f64 = 1.7;
 
-/// One row of pictures: an opening alone or side by side.
+/// One row of charts: a single opening, or several side by side.
 struct Series {
     name: &'static str,
     plan: Plan,
@@ -60,18 +60,18 @@ const SERIES: [Series; 5] = [
     },
 ];
 
-/// What was said of an opening.
+/// Verdict on an opening, compared with the true value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
-    /// Go or warn although the true mean loss is beyond the stop limit.
+    /// "Go" or "warn" although the true mean loss exceeds the stop limit.
     Passed,
-    /// Go between the limits, where warn would be right.
+    /// "Go" between the limits, where "warn" would be right.
     Late,
-    /// Warn or no-go.
+    /// "Warn" or "no-go".
     Seen,
     /// Indeterminate.
     Refused,
-    /// Go below the warning limit.
+    /// "Go" below the warning limit.
     Go,
 }
 
@@ -129,7 +129,7 @@ impl Field {
         Outcome::of(self.found.verdict, self.truth_um)
     }
 
-    /// Whether what is claimed holds: the interval, or the lower bound; nothing is claimed where the flank is not judged.
+    /// Whether the stated interval or lower bound contains the true value; true if nothing is stated.
     fn holds(&self) -> bool {
         let um = |value: Option<f64>| value.unwrap_or(f64::NAN);
         let bound = self.found.at_least_um.is_none_or(|um| um <= self.truth_um);
@@ -139,7 +139,7 @@ impl Field {
     }
 }
 
-/// Captures the whole chart, two openings at a time.
+/// Captures all fields of the chart, two openings at a time.
 fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
     let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
     let wanted = |series: &usize| {
@@ -156,7 +156,7 @@ fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
     let part = fields.len().div_ceil(2 * WORKERS) * 2;
     let parts: Vec<&[[usize; 3]]> = fields.chunks(part).collect();
     let found = on_all_cores(parts.len() as u32, |number| {
-        // The same head before all of them.
+        // The same head is used for all openings.
         let mut stand = Stand::new(&setup, 0, args.seed, false)?;
         let mut found = Vec::new();
         for (pair, number) in parts[number as usize].chunks(2).zip((number << 12)..) {
@@ -313,7 +313,7 @@ fn draw(charts: &[(&str, Vec<Field>)]) -> Result<String, std::fmt::Error> {
     Ok(svg)
 }
 
-/// What the chart does not say.
+/// Limits of what the chart shows.
 const NO_EVIDENCE: &str = "## What no evidence shows\n\n\
     * Openings narrower than some 0.03 mm: no point comes from their floors, and the rays that end on their walls scatter no more \
     than a rough surface does. Side by side they are passed whatever their depth (the red fields); the limits of wear must leave \

@@ -12,28 +12,29 @@ use flankscope_bench::files::MadeHead;
 use flankscope_bench::specimen::Specimen;
 use flankscope_bench::world::{Form, HeadDesign, WorldConfig};
 
-/// Teeth and heights that blocks take in turn: numbers that share no divisor, so that they come together anew.
+/// Teeth and heights that blocks use in turn; their numbers have no common divisor, so that all combinations occur.
 const TEETH: [u32; 8] = [40, 12, 68, 5, 27, 55, 77, 84];
 const HEIGHTS_MM: [f64; 3] = [33.0, 24.0, 42.0];
-/// Single pitch tolerance of ISO 1328-1:2013, class 7, of module 0.987 mm on 82.9 mm, µm: twice what the class 5 formula
-/// 0.001 d + 0.4 m + 5 gives.
+/// Single pitch tolerance of ISO 1328-1:2013, class 7, of module 0.987 mm on 82.9 mm, µm: twice the value of the class 5 formula
+/// 0.001 d + 0.4 m + 5.
 const PITCH_TOLERANCE_UM: f64 = 10.96;
-/// A die whose every pitch, the difference of two flanks, keeps that tolerance with three standard deviations.
+/// Standard deviation of the flanks of a die whose single pitch, the difference of two flanks, keeps that tolerance at three
+/// standard deviations.
 pub(super) const FLANKS_UM: f64 = PITCH_TOLERANCE_UM / (3.0 * std::f64::consts::SQRT_2);
 
-/// The demo tool, and a head as it is drawn.
+/// The demo tool, and a head by its drawing.
 pub(super) struct Setup {
     tool: Tool,
     head: HeadModel,
-    /// The die before the head.
+    /// World of the die and the head.
     die: WorldConfig,
-    /// Name of the patterns that are thrown on it.
+    /// Name of the pattern set.
     patterns: String,
-    /// The head as it was made; each has its own cores and lenses beside that.
+    /// Design of the head; each head has its own cores and lenses in addition.
     pub made: HeadDesign,
 }
 
-/// Where a block looks.
+/// Tooth and height that a block views.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub(super) struct Place {
     pub tooth: u32,
@@ -55,7 +56,7 @@ impl Setup {
         let folder = tempfile::tempdir()?;
         flankscope_demo::write_tool(folder.path(), made)?;
         let mut tool = Tool::load(folder.path())?;
-        // The bench makes the die of the very facets of its CAD: no chord is off here.
+        // The bench makes the die from the facets of its CAD, so there is no chord error.
         tool.cad.chord_error_um = 0.0;
         let head = HeadModel::load(&folder.path().join("head.toml"))?;
         let die = Specimen::tool(folder.path(), None)?.config;
@@ -72,7 +73,7 @@ impl Setup {
         })
     }
 
-    /// The same with dies of another surface, and other patterns on them.
+    /// The same setup with dies of another surface, and another pattern set.
     pub fn with_surface(mut self, surface: SurfaceKind, patterns: &str) -> Self {
         self.die.surface = surface.surface();
         self.die.bounces = surface.bounces();
@@ -80,7 +81,7 @@ impl Setup {
         self
     }
 
-    /// A head as it throws this setup's patterns.
+    /// The head with this setup's patterns.
     pub fn throwing(&self, head: HeadModel) -> HeadModel {
         let own = head.pattern_set.as_ref() == Some(&self.patterns);
         HeadModel {
@@ -90,7 +91,7 @@ impl Setup {
         }
     }
 
-    /// The drawing.
+    /// The drawing of the die.
     pub fn cad(&self) -> flankscope_gear_cad::Mesh {
         self.die.cad.clone()
     }
@@ -100,20 +101,20 @@ impl Setup {
         &self.head
     }
 
-    /// The tool with its head at a place; it states the form of a die as built, or takes the CAD as true.
+    /// The tool with its head at a place; it states the form error of a die as built, or assumes that the die agrees with the CAD.
     pub fn tool(&self, place: Place, built: bool) -> Tool {
         let mut tool = self.tool.clone();
         let pressure_angle_deg = tool.gear.as_ref().map_or(0.0, |g| g.pressure_angle_deg);
         if let Some(inspect) = &mut tool.inspect {
             inspect.height_mm = place.height_mm;
         }
-        // What stands off along the pitch circle does so by its cosine along the normal.
+        // Errors along the pitch circle act along the normal with the cosine of the pressure angle.
         let normal_um = FLANKS_UM * pressure_angle_deg.to_radians().cos();
         tool.as_built_um = built.then_some(normal_um);
         tool
     }
 
-    /// The die before the head; `run` draws surface grain and noise, and a die as built.
+    /// World of the die and the head; `run` is the seed of surface grain and noise, and of a die as built.
     pub fn world(&self, rig: &Rig, built: bool, run: u64) -> WorldConfig {
         let mut config = self.die.clone();
         config.optics = rig.optics.clone();
@@ -137,7 +138,7 @@ pub(super) fn flank(of_cad: CadFlank) -> Flank {
     }
 }
 
-/// Does `each` for all numbers below `count` on all cores, each wholly on one; results in order.
+/// Calls `each` for all numbers below `count` on all cores, each call on one core; results in order.
 pub(super) fn on_all_cores<T: Send>(
     count: u32,
     each: impl Fn(u32) -> anyhow::Result<T> + Sync,

@@ -1,4 +1,4 @@
-//! What a plane looks like pixel by pixel and core by core: all pixels of one core show its one phase.
+//! A plane decoded pixel by pixel and core by core: all pixels of one core have the core's single phase.
 
 use std::fmt::Write as _;
 
@@ -12,10 +12,10 @@ use flankscope_bench::world::{PatternSpec, World, WorldConfig};
 
 use super::capture::shown;
 
-/// The plane stands in best focus, mm from the stage's axis; the camera is this far from the axis.
+/// Distance of the plane, in best focus, from the stage's axis, mm; and distance of the camera from that axis.
 const PLANE_MM: f64 = 41.5;
 const CAMERA_MM: f64 = 19.5;
-/// Radius around the middle over which the deviations count, mm, and half the length of line that is drawn.
+/// Radius around the centre within which deviations count, mm, and half the length of the line that is drawn.
 const FIELD_MM: f64 = 4.5;
 const LINE_MM: f64 = 0.4;
 const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
@@ -23,16 +23,16 @@ const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
 /// Deviations of one decoding from the plane.
 #[derive(Clone, Debug)]
 pub(super) struct Profile {
-    /// Root of their mean square about their mean over the field, µm.
+    /// Root mean square of the deviations about their mean over the field, µm.
     pub rms_um: f64,
-    /// Points on a line across the fringes: place, mm, and deviation, µm.
+    /// Points on a line across the fringes: position, mm, and deviation, µm.
     line: Vec<[f64; 2]>,
 }
 
 /// The plane decoded pixel by pixel and core by core, from the same frames.
 pub(super) fn profiles(head: &HeadModel) -> anyhow::Result<[Profile; 2]> {
     let mut config = WorldConfig::new(demo::tile(PLANE_MM, [0.0; 2]), demo::gear());
-    // The projector's own cores, which are no matter of decoding, are blurred away.
+    // The projector's cores, which decoding does not affect, are blurred away.
     config.optics.projector_objective.focus_sigma_pitch = 0.6;
     let world = World::new(&config)?;
     let [pixels, cores] = [(GridKind::Pixel, 0.006), (GridKind::Core, 0.016)];

@@ -1,4 +1,4 @@
-//! A calibrated head before dies that come as meshes, one after another.
+//! A calibrated head in front of dies given as meshes, one after another.
 
 use std::sync::Arc;
 
@@ -25,15 +25,15 @@ pub(super) struct Stand {
     tool: Tool,
     instrument: Instrument,
     pub place: Place,
-    /// Draws everything that this head meets.
+    /// Seed of all random numbers for this head.
     pub seed: u64,
-    /// What is judged of a flank, and the disc's area, mm².
+    /// Judged rectangle of a flank, and the disc's area, mm².
     pub judged: Rectangle,
     pub disc_area_mm2: f64,
 }
 
 impl Stand {
-    /// The head of a number; `built`: the tool states the form of a die as built.
+    /// Head number `number`; `built`: the tool states the form error of a die as built.
     pub fn new(setup: &Setup, number: u32, seed: u64, built: bool) -> anyhow::Result<Self> {
         let own = (seed << 16) | u64::from(number);
         let Calibrated { rig, head, .. } = Calibrated::first_of(&setup.made, own)?;
@@ -53,7 +53,7 @@ impl Stand {
         })
     }
 
-    /// The same head from now on against a baseline of a sound bore.
+    /// The same head, from now on with a baseline of a sound bore.
     pub fn with_baseline(mut self) -> anyhow::Result<Self> {
         let sound = bore(|_| 0.0, &[]);
         let golden = self.look(sound, 0)?;
@@ -75,18 +75,18 @@ impl Stand {
         self.world.gear()
     }
 
-    /// Both flanks of the tooth that is judged.
+    /// Both flanks of the judged tooth.
     pub fn flanks(&self) -> [FlankId; 2] {
         let tooth = self.place.tooth;
         [Flank::Left, Flank::Right].map(|flank| FlankId { tooth, flank })
     }
 
-    /// Puts a die there, approaches it anew and judges one view; `number` draws stages and noise.
+    /// Replaces the die, approaches it again and judges one view; `number` is the seed of stage errors and noise.
     pub fn look(&mut self, die: Mesh, number: u32) -> anyhow::Result<ViewOutcome> {
         Ok(self.look_truly(die, number)?.0)
     }
 
-    /// The same with where the light of the view's cores really falls.
+    /// Like [`Self::look`]; also returns the true points that the view's cores see.
     pub fn look_truly(
         &mut self,
         die: Mesh,
@@ -103,13 +103,13 @@ impl Stand {
         Ok((outcome, self.world.truth(&state).to_vec()))
     }
 
-    /// Whether light of a DMD pixel counts, by the head file.
+    /// Whether a DMD pixel is inside the projector circle of the head file.
     pub fn is_in_projector_circle(&self, pixel: [f64; 2]) -> bool {
         let circle = self.head.projector_circle.as_ref();
         circle.is_none_or(|circle| circle.contains(pixel))
     }
 
-    /// What is true of both flanks of the die that stands there, by exact distances.
+    /// True values of both flanks of the present die, by exact distances.
     pub fn truths(&self, cad: &Mesh) -> [ZoneTruth; 2] {
         let base_mm = self.gear().base_radius_mm();
         let radius = |profile: f64| (base_mm * base_mm + 2.0 * base_mm * profile).sqrt();

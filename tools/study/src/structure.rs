@@ -1,4 +1,4 @@
-//! Openings with walls: grooves, scratches and pits of stated width, pitch and depth, alone or side by side, cut into flanks of a bore.
+//! Steep openings: grooves, scratches and pits of given width, pitch and depth, single or side by side, cut into flanks of a bore.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,27 +7,27 @@ use flankscope_bench::world::FlankId;
 use flankscope_gear_cad::{GearSpec, Mesh};
 use flankscope_tests::die::{Fine, Place, bore};
 
-/// Edges of the mesh across an opening.
+/// Number of mesh edges across an opening.
 const EDGES_ACROSS: f64 = 8.0;
-/// Longest edge along a groove, mm: a chord of the involute is 0.1 µm off there.
+/// Longest edge along a groove, mm: the chord error of the involute is 0.1 µm there.
 const ALONG_MM: f64 = 0.05;
-/// The truth's raster is no coarser than this part of the opening, and no finer than so many mm.
+/// Raster of the true values: this many steps per opening, but not finer than the second constant, mm.
 const RASTER_PARTS: f64 = 8.0;
 const FINEST_RASTER_MM: f64 = 0.004;
 
-/// How an opening's depth runs across it.
+/// Cross-section of an opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Section {
     /// A flat floor between steep walls.
     Flat,
-    /// Two slopes that meet.
+    /// V-shaped.
     Vee,
     /// A period of a cosine.
     Round,
 }
 
 impl Section {
-    /// Share of the depth at a distance from the middle over the width.
+    /// Fraction of the depth at a distance from the middle, relative to the width.
     fn at(self, t: f64) -> f64 {
         match (self, t.abs() < 0.5) {
             (_, false) => 0.0,
@@ -38,10 +38,10 @@ impl Section {
     }
 }
 
-/// What an opening is across and along.
+/// Plan view of an opening.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Plan {
-    /// A line; the angle of the direction across it against the profile, rad: 0 runs along the height.
+    /// A line; the angle between the direction across it and the profile, rad: 0 is a line along the height.
     Line(f64),
     /// A round pit.
     Pit,
@@ -53,12 +53,12 @@ pub(super) struct Structure {
     pub plan: Plan,
     pub section: Section,
     pub width_mm: f64,
-    /// Distance of the middles of neighbours; none of a single opening.
+    /// Distance between the middles of neighbours; `None` for a single opening.
     pub pitch_mm: Option<f64>,
     pub depth_mm: f64,
     /// Middle of one of them: profile length from the base circle, and height, mm.
     pub at_mm: [f64; 2],
-    /// Where it is: what lies outside is as drawn.
+    /// Area of the openings; the flank outside follows the drawing.
     pub within: Rectangle,
 }
 
@@ -71,7 +71,7 @@ impl Structure {
             return 0.0;
         }
         let [x, y] = [profile_mm - self.at_mm[0], height_mm - self.at_mm[1]];
-        // To the nearest neighbour's middle.
+        // Distance to the nearest neighbour's middle.
         let nearest = |v: f64| match self.pitch_mm {
             Some(pitch) => v - pitch * (v / pitch).round(),
             None => v,
@@ -86,7 +86,7 @@ impl Structure {
     /// The largest mean loss over a disc in the judged rectangle, µm.
     pub fn largest_mean_um(&self, judged: Rectangle, disc_area_mm2: f64) -> f64 {
         let disc_mm = 2.0 * (disc_area_mm2 / PI).sqrt();
-        // A disc beyond has lost nothing.
+        // A disc outside the area has no loss.
         let [low, high] = self.within.height_mm;
         let near = Rectangle {
             height_mm: [
@@ -101,7 +101,7 @@ impl Structure {
         })
     }
 
-    /// The same, as deep as makes its largest mean loss so much, but at most `deepest_mm`.
+    /// The same structure with the depth that gives this largest mean loss, but at most `deepest_mm`.
     pub fn scaled_to(
         self,
         um: f64,
@@ -120,7 +120,7 @@ impl Structure {
         }
     }
 
-    /// How finely its flank must be cut.
+    /// Mesh size that its flank needs.
     fn fine(&self, gear: &GearSpec, id: FlankId) -> Fine {
         let step_mm = self.width_mm / EDGES_ACROSS;
         let step_mm = match self.plan {
@@ -143,13 +143,13 @@ impl Structure {
     }
 }
 
-/// Radius less that of the tip at a profile length, mm.
+/// Difference of the radius at a profile length from that of the tip, mm.
 fn from_tip_mm(gear: &GearSpec, profile_mm: f64) -> f64 {
     let base_mm = gear.base_radius_mm();
     (base_mm * base_mm + 2.0 * base_mm * profile_mm).sqrt() - gear.tip_radius_mm
 }
 
-/// Profile length of a place, mm.
+/// Profile length of a position, mm.
 pub(super) fn profile_mm(gear: &GearSpec, place: Place) -> f64 {
     let (base_mm, radius_mm) = (
         gear.base_radius_mm(),
@@ -197,7 +197,7 @@ mod tests {
                 within: judged,
             };
             // 0.1 mm across the middle of a disc of 0.25 mm²: 0.05613 mm² (chord geometry), 22.4 % of it.
-            // The raster counts whole places: at 45° a row of them more or less is a part of sqrt(2) times RASTER_PARTS of the groove.
+            // The raster counts whole cells: at 45° one row more or less is a fraction 1 / (sqrt(2) RASTER_PARTS) of the groove.
             let row_um = 22.4 / (std::f64::consts::SQRT_2 * RASTER_PARTS);
             let um = groove.largest_mean_um(judged, 0.25);
             assert!((um - 22.4).abs() < row_um, "{i}: {um}");

@@ -1,4 +1,4 @@
-//! What many captures of one row say together.
+//! Statistics of many captures of one row.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,9 +12,9 @@ use super::block::Found;
 pub struct Sample {
     /// The block: its head, calibration, die and place.
     pub block: u32,
-    /// True value of what is measured, µm.
+    /// True value of the measurand, µm.
     pub truth_um: f64,
-    /// What was measured, where it was.
+    /// Measured value, if there is one.
     #[serde(flatten)]
     pub figure: Option<Figure>,
     /// `go`, `warn`, `no-go` or `indeterminate`.
@@ -34,7 +34,7 @@ pub struct Figure {
     pub value_um: f64,
     /// Expanded uncertainty, µm.
     pub u95_um: f64,
-    /// Least depth that counts as detected, µm.
+    /// Smallest depth that counts as detected, µm.
     pub detection_limit_um: f64,
 }
 
@@ -49,13 +49,13 @@ impl Sample {
         verdicts.contains(&self.verdict.as_str())
     }
 
-    /// Whether it was let pass.
+    /// Whether the flank got "go" or "warn".
     #[must_use]
     pub fn passed(&self) -> bool {
         self.is(&["go", "warn"])
     }
 
-    /// Whether it raised an alarm.
+    /// Whether the flank got "warn" or "no-go".
     #[must_use]
     pub fn alarmed(&self) -> bool {
         self.is(&["warn", "no-go"])
@@ -67,7 +67,7 @@ impl Sample {
 pub struct Cell {
     /// Name of the row.
     pub name: String,
-    /// What it is about.
+    /// Topic of the row.
     pub group: Group,
     /// Flanks in captures.
     pub samples: Vec<Sample>,
@@ -75,7 +75,7 @@ pub struct Cell {
     pub budget_um: BTreeMap<&'static str, f64>,
 }
 
-/// How many of how many, and in how many blocks of how many at least once.
+/// Number of hits among samples, and number of blocks with at least one hit among all blocks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Share {
     pub hits: usize,
@@ -179,13 +179,13 @@ impl Cell {
         (squares / (n - 1.0).max(1.0)).sqrt()
     }
 
-    /// Largest error, without its sign, µm.
+    /// Largest absolute error, µm.
     #[must_use]
     pub fn worst_um(&self) -> f64 {
         self.errors_um().map(|e| e[0].abs()).fold(0.0, f64::max)
     }
 
-    /// How many figures have their truth within their 95 % interval.
+    /// Number of values whose 95 % interval contains the true value.
     pub(super) fn held(&self) -> Share {
         let measured = self.samples.iter().filter(|s| s.figure.is_some());
         Share::of(measured, |s| {
@@ -193,20 +193,20 @@ impl Cell {
         })
     }
 
-    /// Share of figures with their truth within their 95 % interval.
+    /// Fraction of values whose 95 % interval contains the true value.
     #[must_use]
     pub fn coverage(&self) -> f64 {
         let held = self.held();
         held.hits as f64 / held.of as f64
     }
 
-    /// Mean limit of detection that the instrument states, µm.
+    /// Mean detection limit stated by the instrument, µm.
     #[must_use]
     pub fn detection_limit_um(&self) -> f64 {
         Self::mean(self.figures().map(|f| f.detection_limit_um))
     }
 
-    /// Mean expanded uncertainty that the instrument states, µm.
+    /// Mean expanded uncertainty stated by the instrument, µm.
     #[must_use]
     pub fn u95_um(&self) -> f64 {
         Self::mean(self.figures().map(|f| f.u95_um))

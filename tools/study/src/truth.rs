@@ -1,4 +1,4 @@
-//! What a capture should find, from the damage's closed form: nothing measured, and nothing of the die's form as built.
+//! Expected result of a capture from the closed form of the damage, without measurement and without the form error of a die as built.
 
 use flankscope_gear_cad::{Flank, GearSpec};
 use flankscope_metrology::tool::Tool;
@@ -6,7 +6,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_bench::damage::{RASTER_MM, Rectangle, largest_mean_um};
 use flankscope_bench::world::{FlankId, Wear, WearField};
 
-/// The rectangle that is judged of a flank, and the disc's area, mm².
+/// The judged rectangle of a flank, and the disc's area, mm².
 pub(super) fn judged(tool: &Tool) -> anyhow::Result<(Rectangle, f64)> {
     let (Some(data), Some(zone), Some(inspect)) = (&tool.gear, tool.zone(), &tool.inspect) else {
         anyhow::bail!("the demo tool has no zone");
@@ -33,7 +33,7 @@ pub(super) fn of_wear_um(
         area_mm2,
         RASTER_MM,
         |profile, height| {
-            // Profile length s from the base circle: r2 = rb2 + 2 rb s.
+            // Profile length s from the base circle: r² = rb² + 2 rb s.
             let radius = (base * base + 2.0 * base * profile).sqrt();
             field.depth_mm(FlankId { tooth, flank }, radius, height)
         },

@@ -1,4 +1,4 @@
-//! One capture followed from its plan to its last view: orders to the controller, its events, frames, whole views.
+//! One capture, from its plan to its last view: commands to the controller, its events, the camera's frames, complete views.
 
 use std::time::Duration;
 
@@ -13,14 +13,14 @@ use super::run::Run;
 use super::session::Acquisition;
 use crate::controller::Client;
 
-/// Patience for the capture thread once every trigger was fired.
+/// Longest wait for the capture thread after the last trigger was fired.
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Part of a hold limit that is kept for the way out: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
+/// Part of a hold limit that is reserved for leaving the die: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
 pub const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Brings a controller without a fault to `Ready`: tells it which stages these are, and references them if they are not.
+    /// Brings a controller without a fault to `Ready`: sends it the configuration of the stages, and references them if they are not.
     pub async fn make_ready(
         &self,
         client: &mut Client,
@@ -83,7 +83,7 @@ impl<O: Send + 'static> Acquisition<O> {
         let plan = self.program.capture_plan(views, limits)?;
         plan.validate(limits)?;
         run.begin_session(views);
-        // Whatever the controller did before it answers this belongs to an earlier capture.
+        // Events that the controller sent before it answers this command belong to an earlier capture.
         client.status().await?;
         client.forget_events();
         self.order(Order::Arm(Arm::of(&plan)))?;
@@ -96,16 +96,17 @@ impl<O: Send + 'static> Acquisition<O> {
                 session: plan.session,
             })
             .await?;
-        // The press is held from here on: this is how many cycles the die has seen.
+        // The press is held from here on, so its counter tells how many cycles the die has seen.
         run.counts.press_cycles = client.status().await?.press.cycles;
         match self.follow(client, run, &plan, watch).await {
             Ok(stopped) => Ok(stopped),
-            // It had begun: a link that breaks now leaves views open instead of ending the program.
+            // The capture had begun: a link that breaks now leaves views without a result instead of ending the program.
             Err(error) => Ok(Some(error.into())),
         }
     }
 
-    /// Waits until the camera has said that it is armed for the new plan, and drained: an earlier frame would count for the old.
+    /// Waits until the camera reports that it is armed for the new plan and its queue is empty: a frame of the old plan would be
+    /// counted for the new one.
     pub(super) async fn armed(
         &mut self,
         run: &mut Run<O>,
@@ -121,8 +122,8 @@ impl<O: Send + 'static> Acquisition<O> {
         }
     }
 
-    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated; returns
-    /// why it failed, if it did.
+    /// Follows events and frames until the capture is done or has failed and every complete view is evaluated. Returns why it
+    /// failed, if it did.
     async fn follow(
         &mut self,
         client: &mut Client,
@@ -132,7 +133,7 @@ impl<O: Send + 'static> Acquisition<O> {
     ) -> Result<Option<Stop>, AcquisitionError> {
         let frames = plan.frames_per_view();
         let mut failure = None;
-        // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
+        // Set once the controller sends no more events, to the time by which the capture thread must have answered.
         let mut captured: Option<Instant> = None;
         let (mut closing, mut closed) = (false, false);
         let silence = client.silence();
@@ -160,7 +161,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
                 () = interrupt.requested(), if captured.is_none() && failure.is_none() => {
-                    // The head comes out; what the controller says of that is followed to its end.
+                    // The stages retract the head; the controller's events are followed until it is out.
                     failure = Some(Stop::Interrupted);
                     client.order(&Command::Abort).await?;
                 }
@@ -207,13 +208,13 @@ impl<O: Send + 'static> Acquisition<O> {
                             }
                         }
                     }
-                    // The press is not held any longer, whatever is still missing.
+                    // The press is released even if views are still missing.
                     if !done && run.hold_limit.is_some_and(|limit| run.timeline.elapsed() + RETRACT_RESERVE > limit) {
                         run.hold_limit = None;
                         failure.get_or_insert(Stop::HoldLimit);
                         client.order(&Command::Abort).await?;
                     }
-                    // Every trigger has been fired when the head begins to retract: the last views need not wait longer.
+                    // All triggers have been fired once the head retracts, so the last views need not wait for more.
                     if (retracting || done) && !closing {
                         self.order(Order::Close)?;
                         closing = true;
@@ -226,7 +227,7 @@ impl<O: Send + 'static> Acquisition<O> {
         }
     }
 
-    /// Sends every view whose triggers and frames are complete and pair to the compute thread.
+    /// Sends every view whose triggers and frames are complete and pair one to one to the compute thread.
     pub(super) fn evaluate_whole_views(
         &mut self,
         run: &mut Run<O>,
@@ -247,7 +248,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 saved,
             } = captured;
             let Some(view_number) = run.session.views.get(usize::from(view)).copied() else {
-                // A frame beyond the plan: one more than was triggered, and nobody knows before which of the others.
+                // One frame more than was triggered. Which of the frames is the extra one is unknown, so no view of the session is used.
                 run.spoil_session();
                 if let Some(saved) = saved {
                     self.saved.retain(|of| of.session != saved.session());
@@ -303,7 +304,7 @@ impl<O: Send + 'static> Acquisition<O> {
     }
 }
 
-/// Nothing stood still for longer than it may.
+/// Checks that no leg from trigger to host was later than `limit`.
 fn timely(late: Option<Lateness>, limit: Option<Duration>) -> Result<(), PairingError> {
     let (Some(late), Some(limit)) = (late, limit) else {
         return Ok(());

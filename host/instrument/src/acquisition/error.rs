@@ -1,4 +1,4 @@
-//! What can go wrong on the way from a position to the sums of its frames, and how far it is.
+//! Errors on the way from a stage position to the summed frames of a view, and the progress of a run.
 
 use flankscope_profilometry::FrameError;
 use flankscope_protocol::{Event, FaultCode, PlanError, StageConfig, StageName};
@@ -10,17 +10,17 @@ use super::route::RouteTime;
 use crate::controller::ClientError;
 use flankscope_frames::{ReceiveError, ServiceError};
 
-/// Why nothing could be captured at all. What goes wrong once a capture runs ends in a [`Stop`] or a [`ViewError`].
+/// Why nothing could be captured at all. Errors after a capture has begun are a [`Stop`] or a [`ViewError`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AcquisitionError {
-    /// No frames.
+    /// The shared-memory services of the frames could not be opened.
     #[error(transparent)]
     Services(#[from] ServiceError),
-    /// No controller.
+    /// The controller could not be connected, or did not answer.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// More than a plan holds.
+    /// The program has more views, exposures or sets than a capture plan holds.
     #[error(transparent)]
     Program(#[from] ProgramError),
     /// The plan breaks the controller's limits.
@@ -29,40 +29,40 @@ pub enum AcquisitionError {
     /// A thread ended early.
     #[error("the {thread} thread ended early")]
     Thread {
-        /// Which.
+        /// Name of the thread.
         thread: &'static str,
     },
-    /// Somebody asked for it.
+    /// The operator interrupted the run.
     #[error("interrupted")]
     Interrupted,
-    /// The head's focus follows a lens that nobody drives.
+    /// The head file has a liquid lens, but the controller has no lens driver.
     #[error(
         "the head's file has a [lens], and the controller found no lens driver when it started: is the driver powered, wired as in firmware/README.md, and the controller reset since?"
     )]
     NoLens,
-    /// The head has a projector that nobody switches.
+    /// The head has more projectors than the controller switches.
     #[error(
         "the head's file has {needed} projectors, and the controller found {fitted} when it started: is the second one plugged in, wired as in firmware/README.md, and the controller reset since?"
     )]
     TooFewProjectors {
-        /// Of the head.
+        /// Projectors of the head.
         needed: usize,
-        /// Of the controller.
+        /// Projectors that the controller switches.
         fitted: u8,
     },
-    /// A stage is another one than the station's, and nothing has moved.
+    /// The model of a stage is not the one in the station file; nothing has moved.
     #[error(
         "axis {axis} of the stages answers as {got:?}, station.toml names {named:?} ([stages], model): it is another stage, or plugged in elsewhere"
     )]
     OtherStage {
         /// Number of the axis.
         axis: u8,
-        /// By its own word.
+        /// Model that the stage reports.
         got: StageName,
-        /// By the station's file.
+        /// Model in the station file.
         named: StageName,
     },
-    /// The controller waits for somebody.
+    /// The controller is in a fault that must be acknowledged.
     #[error(
         "the controller stands in {fault}; clear the cause and acknowledge it (flankscope doctor --acknowledge-fault)"
     )]
@@ -73,7 +73,7 @@ pub enum AcquisitionError {
 }
 
 impl AcquisitionError {
-    /// The complaint, where an event says that a stage is another one than it should be.
+    /// The error, if an event reports that a stage has another model than the configured one.
     pub(super) fn other_stage(event: &Event, stage: &StageConfig) -> Option<Self> {
         let Event::StageIdentity {
             axis,
@@ -95,28 +95,28 @@ impl AcquisitionError {
 /// Why a capture that had begun ended before its last view.
 #[derive(Debug, thiserror::Error)]
 pub enum Stop {
-    /// The controller stopped.
+    /// The controller stopped with a fault.
     #[error("{0}")]
     Fault(FaultCode),
-    /// What happened is not known whole.
+    /// Events of the controller were lost, so its record is incomplete.
     #[error("{count} events were lost in the controller")]
     EventsLost {
-        /// How many.
+        /// Number of lost events.
         count: u32,
     },
-    /// The link to the controller, or a thread, broke on the way.
+    /// The link to the controller, or a thread, failed during the capture.
     #[error(transparent)]
     Broken(#[from] AcquisitionError),
-    /// The press must go on.
+    /// The hold limit of the press was reached.
     #[error("the check did not fit into the time for which the press may be held")]
     HoldLimit,
     /// The camera cannot be used, and nothing has moved.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// Frames do not come to an end.
+    /// The capture thread does not answer.
     #[error("the capture thread does not answer")]
     Stalled,
-    /// Somebody asked for it.
+    /// The operator interrupted the run.
     #[error("interrupted")]
     Interrupted,
 }
@@ -125,32 +125,32 @@ pub enum Stop {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraError {
-    /// It cannot be told or heard.
+    /// The camera process cannot be reached over shared memory.
     #[error("the camera process cannot be reached: {reason}")]
     Unreachable {
-        /// The library's own reason.
+        /// Reason given by the shared-memory library.
         reason: String,
     },
-    /// It has not come, or does not answer.
+    /// The camera did not start, or does not answer.
     #[error("no camera said within {patience_ms} ms that it is armed and drained: {state}")]
     NotReady {
-        /// Patience, ms.
+        /// Longest wait, ms.
         patience_ms: u128,
-        /// What is known of it.
+        /// Last known state of the camera.
         state: &'static str,
     },
-    /// It is another camera than the head's.
+    /// The camera differs from the one in the head file.
     #[error(
         "the camera {model} has {got} {of}, the head file says {expected}: it is another camera, or set otherwise"
     )]
     Differs {
-        /// Maker and model, by its own word.
+        /// Maker and model that the camera reports.
         model: String,
-        /// Of what.
+        /// Property that differs.
         of: &'static str,
-        /// By its own word.
+        /// Value that the camera reports.
         got: String,
-        /// By the head file.
+        /// Value in the head file.
         expected: String,
     },
 }
@@ -158,7 +158,7 @@ pub enum CameraError {
 /// Why a view's frames cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
-    /// A frame did not fit the plan, or showed the wrong thing.
+    /// A frame does not fit the plan, or shows another pattern than planned.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// A frame could not be read.
@@ -175,7 +175,7 @@ pub enum ViewError {
         /// Session armed.
         expected: u32,
     },
-    /// Frames are missing at the end.
+    /// Frames are missing at the end of the capture.
     #[error("only {got} of {planned} frames came")]
     Incomplete {
         /// Frames that came.
@@ -183,51 +183,51 @@ pub enum ViewError {
         /// Frames planned.
         planned: usize,
     },
-    /// Nobody recorded it.
+    /// No recorded frames of this view exist.
     #[error("the recording has no frames of {of}")]
     NotRecorded {
-        /// What is in the middle of the view: a tooth, or a patch.
+        /// Tooth or patch in the middle of the view.
         of: String,
     },
     /// A recorded frame cannot be used.
     #[error(transparent)]
     Image(#[from] ImageProblem),
-    /// Nobody said where the camera stood, or what was said is not to be trusted.
+    /// No pose of the camera was stated, or the stated one cannot be used.
     #[error("{0}")]
     Pose(String),
-    /// One more than was triggered, and nobody knows before which of the others.
+    /// One frame more than was triggered; which of the frames is the extra one is unknown.
     #[error("the camera sent a frame beyond the plan")]
     BeyondPlan,
 }
 
-/// How far a run is; for somebody who watches. A view is its place in the plan, from 0.
+/// Progress of a run, for display. A view is given by its index in the plan, from 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Progress {
     /// The controller answered.
     Connected,
-    /// The stages reference.
+    /// The stages are being referenced.
     Homing,
     /// The way through the views is planned.
     Planned(RouteTime),
     /// The head moves to a view.
     Moving {
-        /// Which.
+        /// Index of the view.
         view: usize,
         /// Its number in the order of visits, from 0.
         number: usize,
-        /// Of how many.
+        /// Number of views.
         of: usize,
     },
     /// A frame of the view was exposed.
     Exposed {
         /// Its number, from 0.
         frame: u16,
-        /// Of how many.
+        /// Number of frames of the view.
         of: u16,
     },
     /// A view is being captured again.
     Recapture(usize),
-    /// A view's figures are too near to a limit: it is measured again.
+    /// A result of the view is too near to a limit: it is measured again.
     Repeat(usize),
     /// The stages retract.
     Retracting,

@@ -1,5 +1,5 @@
-//! From a list of stage positions to the summed frames of each, through controller and camera or from a folder; what is made
-//! of the sums, and what for, is somebody else's.
+//! Turns a list of stage positions into the summed frames of each view, captured through controller and camera or read from a folder.
+//! Evaluation of the sums belongs to the caller.
 //!
 //! ```text
 //!  I/O runtime           capture thread            compute thread
@@ -12,18 +12,18 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `program` | positions, patterns and exposures: to a capture plan |
+//! | `program` | converts positions, patterns and exposures to a capture plan |
 //! | `route` | in which order the positions are visited |
-//! | `sums` | of the frames of a view, pass by pass |
+//! | `sums` | running sums of a view's frames, pass by pass |
 //! | `session` | the threads that frames and sums pass through |
-//! | `capture` | one capture followed from its plan to its last view |
-//! | `recapture` | what is captured once more |
-//! | `run` | what all captures of a run have gathered |
-//! | `recorder` | the capture thread: frames summed where they lie |
-//! | `pairing` | triggers against frames |
-//! | `recording` | frames that were recorded before, in the place of a camera |
-//! | `timeline` | what the devices did when |
-//! | `error` | what can go wrong |
+//! | `capture` | one capture, from its plan to its last view |
+//! | `recapture` | which views are captured a second time |
+//! | `run` | results that all captures of a run have gathered |
+//! | `recorder` | the capture thread: sums frames in shared memory, without a copy |
+//! | `pairing` | compares triggers with frames |
+//! | `recording` | recorded frames in place of a camera |
+//! | `timeline` | activity of the devices over time |
+//! | `error` | errors, and the progress of a run |
 
 mod capture;
 mod error;

@@ -1,4 +1,4 @@
-//! Triggers against frames: a view counts only if every exposure the controller fired is the frame the host got.
+//! Pairs triggers with frames: a view counts only if every exposure that the controller fired is the frame that the host received.
 
 use flankscope_frames::{EXPOSURE_TOLERANCE_US, FrameHeader};
 use flankscope_protocol::Trigger;
@@ -7,10 +7,10 @@ use flankscope_protocol::Trigger;
 /// apart by 200 µs in 2 s, and each edge may be seen 100 µs late.
 const INTERVAL_TOLERANCE_US: u64 = 400;
 
-/// Why a view cannot be used.
+/// Why the triggers and frames of a view do not match.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PairingError {
-    /// Not one frame per trigger.
+    /// The number of frames differs from the number of triggers.
     #[error("{triggers} triggers were fired, {frames} frames came")]
     Count {
         /// Triggers reported by the controller.
@@ -48,28 +48,28 @@ pub enum PairingError {
         /// Commanded exposure.
         commanded_us: u64,
     },
-    /// Something stood still on the way.
+    /// A trigger or frame was late by more than the limit.
     #[error(
         "{leg} {late_ms:.0} ms late (frame {frame} of the view), at most {limit_ms:.0} ms may be: something stood still"
     )]
     Stalled {
         /// Position in the view.
         frame: usize,
-        /// Where.
+        /// Part of the way that was late.
         leg: Leg,
-        /// By how much.
+        /// Delay, ms.
         late_ms: f64,
-        /// Limit.
+        /// Largest delay allowed, ms.
         limit_ms: f64,
     },
-    /// The exposures did not happen when the triggers did.
+    /// The interval between two exposures differs from that between their triggers.
     #[error("frame {frame} began {got_us} us after the view's first, its trigger {fired_us} us")]
     Interval {
         /// Position in the view.
         frame: usize,
-        /// By the camera's clock.
+        /// Interval by the camera's clock.
         got_us: u64,
-        /// By the controller's clock.
+        /// Interval by the controller's clock.
         fired_us: u64,
     },
 }
@@ -77,11 +77,11 @@ pub enum PairingError {
 /// Which part of the way from trigger to host was late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Leg {
-    /// The controller told of a trigger later after the one before than it had fired it.
+    /// The controller reported a trigger late: the reports are further apart than the triggers.
     Trigger,
     /// The camera process handed a frame over late after its exposure.
     Camera,
-    /// The host saw a frame late after it was handed over.
+    /// The host received a frame late after it was handed over.
     Host,
 }
 
@@ -95,22 +95,22 @@ impl std::fmt::Display for Leg {
     }
 }
 
-/// How late a frame of a view was, at most.
+/// Largest delay of a frame within a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lateness {
     /// Position in the view.
     pub frame: usize,
-    /// Where.
+    /// Part of the way that was late.
     pub leg: Leg,
-    /// By how much, ms.
+    /// Delay, ms.
     pub late_ms: f64,
 }
 
-/// The latest frame of a view, by the host's clock: `arrived_ns` says when the controller's word of each trigger came,
-/// `handover_ns` how long each frame was on its way from the camera process.
+/// The largest delay of a frame within a view, by the host's clock. `arrived_ns` says when the controller's report of each
+/// trigger arrived, `handover_ns` how long each frame took from the camera process to the host.
 ///
-/// Controller, camera process and host have clocks of their own, and a process that stands still has none: while it stands,
-/// nothing is late by its own clock. What the parts do is compared with what the host saw of it. None without frames.
+/// Controller, camera process and host have clocks of their own, and a process that is suspended sees no delay by its own clock.
+/// So the intervals each device reports are compared with the intervals that the host observed. `None` without frames.
 pub fn lateness(
     triggers: &[Trigger],
     arrived_ns: &[u64],
@@ -146,13 +146,14 @@ pub fn lateness(
         .max_by(|a, b| a.late_ms.total_cmp(&b.late_ms))
 }
 
-/// Checks that the frames of a view are its triggers, one for one: by count, number, pattern, length and time.
+/// Checks that the frames of a view match its triggers one to one: by count, number, pattern, length and time.
 ///
-/// What a camera has not measured cannot be compared with what was commanded. Where it says when an exposure ended, that is its
-/// time; where it does not, the frame's arrival is, and only half of the way to the next trigger is near enough.
+/// An exposure length that the camera did not measure is not compared with the commanded one. If the camera reports when an
+/// exposure ended, that time is used; otherwise the frame's arrival is, with a tolerance of half the interval to the next
+/// trigger.
 ///
 /// # Errors
-/// The first thing that does not fit.
+/// The first mismatch.
 pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingError> {
     if triggers.len() != frames.len() {
         return Err(PairingError::Count {
@@ -220,7 +221,7 @@ pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingE
     Ok(())
 }
 
-/// Half of the shortest time between two triggers: a frame that is off by less is nobody else's.
+/// Half of the shortest time between two triggers: a frame that is off by less belongs to no other trigger.
 fn half_a_step_us(triggers: &[Trigger]) -> u64 {
     let steps = triggers.windows(2);
     let steps = steps.map(|two| two[1].end_at.since_us(two[0].end_at));
@@ -271,7 +272,7 @@ mod tests {
     #[test]
     fn what_stands_still_anywhere_on_the_way_is_late() {
         let (triggers, mut frames) = view();
-        // Every word comes 2 ms after its trigger, every frame is handed over 13 ms after its exposure and seen in 0.1 ms.
+        // Every report arrives 2 ms after its trigger; every frame is handed over 13 ms after its exposure and received in 0.1 ms.
         let arrived: Vec<u64> = (0..5).map(|i| 7_000_000 + 15_000_000 * i).collect();
         let handover = vec![100_000; 5];
         for (i, frame) in (0..).zip(&mut frames) {
@@ -286,7 +287,7 @@ mod tests {
             late[i..].iter_mut().for_each(|at| *at += stall_ns);
             let found = lateness(&triggers, &late, &frames, &handover).unwrap();
             if i > 0 {
-                // Before the first, the head was still moving: nothing was exposed yet.
+                // The head still moved before the first trigger, so no delay is defined for it.
                 assert_eq!((found.frame, found.leg), (i, Leg::Trigger));
                 assert!((found.late_ms - 5000.0).abs() < 1.0, "{found:?}");
             }
@@ -343,7 +344,7 @@ mod tests {
                     "frames {} and {i} swapped",
                     i - 1
                 );
-                // One lost and another one extra: the count is right, the times are not.
+                // One frame lost and one extra: the count is right, the times are not.
                 let late = disturb(&|_, f| {
                     f[i].exposure_start_us += 15_000;
                     f[i].exposure_end_us += 15_000;
@@ -356,7 +357,7 @@ mod tests {
         }
     }
 
-    /// A camera that knows when its exposures ended but not how long they were, and one that knows neither.
+    /// One camera reports when exposures ended but not their length, another reports neither.
     #[test]
     fn what_was_not_measured_is_not_believed() {
         let (triggers, frames) = view();
@@ -376,7 +377,7 @@ mod tests {
         let end = FrameHeader::END_MEASURED;
         assert_eq!(of(end, &|_| ()), Ok(()));
         assert_eq!(of(0, &|_| ()), Ok(()));
-        // Frames come when they come, but not as late as the next one.
+        // Without exposure times, arrival is checked to half an interval only.
         for i in 1..5 {
             assert!(of(end, &|f| later(&mut f[i], 5_000)).is_err());
             assert_eq!(of(0, &|f| later(&mut f[i], 5_000)), Ok(()));

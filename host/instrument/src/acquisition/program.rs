@@ -1,4 +1,4 @@
-//! What stages, pattern projector and camera are to do, and how that is put to the controller.
+//! What stages, pattern projector and camera have to do in a run, and its conversion to the controller's capture plan.
 
 use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::LensDrive;
@@ -9,7 +9,7 @@ use flankscope_protocol::{
 
 use crate::settings::{Light, Stages, Timing};
 
-/// Where the stages stand for a view.
+/// Position of the stages for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StagePosition {
     /// Commanded angle of the rotary stage, rad.
@@ -19,8 +19,9 @@ pub struct StagePosition {
 }
 
 impl StagePosition {
-    /// Where the axes stand for a die turned by `turn_rad` before the head: what turns is the station's, and an angle beyond the
-    /// travel is taken a whole turn back where that lies within. At home where they carry neither.
+    /// Position of the axes for a die turned by `turn_rad` relative to the head. The station file says whether the rotary stage
+    /// turns the die or the head. An angle beyond the travel is shifted by a whole turn if it then lies within. Axes that carry
+    /// neither die nor head stay at home.
     #[must_use]
     pub fn of(turn_rad: f64, vertical_mm: f64, stages: &Stages) -> Self {
         let Some(axis_rad) = stages.moves.axis_rad(turn_rad) else {
@@ -46,33 +47,33 @@ impl StagePosition {
 /// All views of a run and how each is exposed.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// Where the stages stand for each view.
+    /// Position of the stages for each view.
     pub positions: Vec<StagePosition>,
-    /// Fringe patterns.
+    /// Fringe pattern set.
     pub patterns: PatternSet,
-    /// Share of all mirrors' light that each pass gives, where the patterns are shown in passes; empty: once, by all mirrors.
+    /// Fraction of the light of all mirrors that each pass gives, if the patterns are shown in passes; empty: shown once by all mirrors.
     pub lit_ratios: Vec<f64>,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
     /// Vertical position of the retracted head, mm.
     pub retract_mm: f64,
-    /// How long everything settles.
+    /// Settling times of stages and projector, and readout time of the camera.
     pub timing: Timing,
-    /// How bright it is.
+    /// LED current.
     pub light: Light,
-    /// What moves.
+    /// Configuration of the stages, as the controller is told.
     pub stage: StageConfig,
     /// The head's liquid lens, if it has one.
     pub lens: Option<LensDrive>,
-    /// How many projectors share the passes, one after the other.
+    /// Number of projectors, which show the passes one after the other.
     pub projectors: usize,
 }
 
-/// What a capture plan cannot say.
+/// Why a program cannot be written as a capture plan.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProgramError {
-    /// More than it holds.
+    /// More entries than a plan holds.
     #[error("{got} {what} are too many for one capture; at most {limit}")]
     TooMany {
         /// Views, exposures or fringe sets.
@@ -82,18 +83,18 @@ pub enum ProgramError {
         /// How many a plan holds.
         limit: usize,
     },
-    /// The controller shows fringes only.
+    /// The pattern set has a Gray code, but the controller's plan knows only fringes.
     #[error(
         "pattern set \"{set}\" has a Gray code, which the controller's capture plan cannot ask for: recorded frames (--frames) may have one"
     )]
     GrayCode {
-        /// The set.
+        /// Name of the set.
         set: String,
     },
 }
 
 impl StagePosition {
-    /// In the wire's units.
+    /// The position in the units of the wire protocol.
     #[must_use]
     pub fn view(&self) -> View {
         View {
@@ -104,8 +105,8 @@ impl StagePosition {
 }
 
 impl Program {
-    /// Time for the frames of a view: an exposure with the pattern before it, or the readout of the frame before where that takes
-    /// longer, s.
+    /// Time for the frames of a view, s. Each takes an exposure with the pattern's settling time before it, or the readout of the
+    /// frame before it if that is longer.
     #[must_use]
     pub fn exposure_s(&self) -> f64 {
         let patterns: u32 = self.patterns.sets.iter().map(|set| set.steps).sum();
@@ -118,22 +119,22 @@ impl Program {
         (dark_us + fringes_us * f64::from(patterns) * self.passes() as f64) / 1e6
     }
 
-    /// How often the patterns are shown.
+    /// How many times the pattern set is shown per view.
     #[must_use]
     pub fn passes(&self) -> usize {
         self.lit_ratios.len().max(1)
     }
 
-    /// Time for what moved to stand still, s.
+    /// Settling time of stages and die after a move, s.
     #[must_use]
     pub fn settling_s(&self) -> f64 {
         f64::from(self.timing.settle_ms) / 1e3
     }
 
-    /// The capture plan for some of its views, under a session number of its own.
+    /// The capture plan for some of the program's views, under its own session number.
     ///
     /// # Errors
-    /// More views, sets or exposures than a plan holds, or a code.
+    /// The plan has too many views, sets or exposures, or the pattern set has a Gray code.
     pub(super) fn capture_plan(
         &self,
         views: &[usize],
@@ -178,7 +179,7 @@ impl Program {
         }
         let limit = plan.fringes.capacity();
         let sets = &self.patterns.sets;
-        // The controller lets each projector show them all.
+        // The controller repeats the patterns on each projector by itself.
         let times = self.passes() / self.projectors.max(1);
         let shown = std::iter::repeat_n(sets, times).flatten();
         for set in shown {
@@ -230,7 +231,7 @@ mod tests {
         let (one, by_two) = (plan(&one), plan(&two));
         assert_eq!((one.projectors, by_two.projectors), (1, 2));
         assert_eq!(by_two.fringes, one.fringes);
-        // As many frames as the host adds up, pass by pass.
+        // The plan must have as many frames as the host adds up, pass by pass.
         assert_eq!(
             by_two.frames_per_view(),
             1 + 2 * (one.frames_per_view() - 1)
@@ -268,7 +269,7 @@ mod tests {
         stages.moves = Moves::Head;
         assert_eq!(at(-170.0, &stages), 170.0);
         assert_eq!(at(-181.0, &stages), -179.0);
-        // What no turn takes within stays as it is, and is refused by name.
+        // An angle that no whole turn brings within the travel is left as it is; the controller then refuses it by name.
         stages.rotation.travel_deg = [-90.0, 90.0];
         assert_eq!(at(170.0, &stages), -170.0);
         let mut program = program(1);

@@ -1,4 +1,4 @@
-//! What is captured once more: one policy for checks, scans and calibrations.
+//! Which views are captured a second time: one policy for checks, scans and calibrations.
 
 use flankscope_protocol::Limits;
 
@@ -7,23 +7,23 @@ use super::run::Run;
 use super::session::Acquisition;
 use crate::controller::Client;
 
-/// Captures of a view: the first, and one more where the first cannot be used. What fails twice fails for a reason that a
-/// third time does not take away, and the press waits.
+/// Captures of a view: the first, and one more if the first cannot be used. A view that fails twice has a persistent cause which
+/// a third capture would not remove, and the press is waiting.
 const ATTEMPTS: usize = 2;
 
-/// What follows on a capture that ended early.
+/// What to do after a capture that ended early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterStop {
-    /// Nothing: the press waits.
+    /// End the run, because the press waits.
     End,
-    /// The other attempt: hours of views may depend on it.
+    /// Make the second attempt, because hours of other views may depend on it.
     GoOn,
 }
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Captures `views`, and once more those that `settle` returns: it is told the views of an attempt and why that ended
-    /// early, if it did, and says which of them are still without a result. Returns why the last attempt ended early, if it
-    /// did; after an interruption there is no other.
+    /// Captures `views`, then a second time those that `settle` returns. `settle` receives the views of an attempt and why it
+    /// ended early, if it did, and returns the views still without a result. Returns why the last attempt ended early, if it did.
+    /// There is no second attempt after an interruption.
     pub async fn capture_settled<E: From<AcquisitionError>>(
         &mut self,
         client: &mut Client,

@@ -1,6 +1,6 @@
-//! The capture thread: takes each frame where it lies, adds it to its view's phasors, gives the slot back.
+//! The capture thread: adds each frame, read in shared memory, to its view's phasors, then releases its slot.
 //!
-//! Frames are summed while the next ones are exposed, so that after a view's last exposure only the solving is left.
+//! Frames are summed while the next ones are exposed, so after a view's last exposure only the solution is left to compute.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
@@ -14,21 +14,21 @@ use super::recording::{SavedCapture, Saver};
 use super::sums::{PlannedFrame, ViewSums};
 use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource, Ready, ReceiveError};
 
-/// How long the thread sleeps for a frame before it looks for orders.
+/// How long the thread waits for a frame before it checks for orders.
 const PATIENCE: Duration = Duration::from_millis(5);
 
-/// A frame that does not come for so long after the last trigger is lost: its readout takes 13 ms, a busy camera process
-/// some tens more.
+/// A frame that arrives later than this after the last trigger counts as lost: its readout takes 13 ms, and a busy camera process
+/// adds some tens of ms.
 const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
 
-/// A frame that nobody triggered follows the last one within two readouts, or is not this capture's.
+/// A frame that was not triggered arrives within two readouts of the last one; a later one does not belong to this capture.
 const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
 
-/// A camera that has not said for so long that it is armed is not there: a process takes a second to come, a camera some
-/// tenths to drain.
+/// A camera that has not reported within this time that it is armed counts as absent: a process takes a second to start, a camera
+/// some tenths of a second to empty its queue.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
 
-/// So many sessions are remembered: a frame of one of them is late, of any other foreign.
+/// Number of earlier sessions that are remembered: a frame of one of them is late, a frame of any other session is foreign.
 const EARLIER_SESSIONS: usize = 16;
 
 /// What the job tells the recorder.
@@ -36,11 +36,11 @@ const EARLIER_SESSIONS: usize = 16;
 pub enum Order {
     /// Frames of this plan follow.
     Arm(Arm),
-    /// All triggers of the armed plan were fired: whatever is still open is incomplete.
+    /// All triggers of the armed plan were fired: views without all frames are incomplete.
     Close,
-    /// Sums that may be used again.
+    /// Sums that may be used again for another view.
     Recycle(ViewSums),
-    /// Frames are also written to files from here on.
+    /// From here on, frames are also written to files.
     Save(Saver),
 }
 
@@ -53,11 +53,11 @@ pub struct CapturedView {
     pub sums: ViewSums,
     /// Headers of the frames, in order of arrival.
     pub frames: Vec<FrameHeader>,
-    /// From hand-over by the camera process to sight by the host, per frame, ns.
+    /// Time from hand-over by the camera process to reception by the host, per frame, ns.
     pub handover_ns: Vec<u64>,
-    /// Why it cannot be used.
+    /// Why the view cannot be used, if it cannot.
     pub problem: Option<ViewError>,
-    /// Its frames on the disk, where they are saved.
+    /// Files of its frames, if they are saved.
     pub saved: Option<SavedCapture>,
 }
 
@@ -66,15 +66,15 @@ pub struct CapturedView {
 pub enum Recorded {
     /// A view's last frame was added, or the view was given up.
     View(Box<CapturedView>),
-    /// After [`Order::Arm`]: the camera is armed and drained, or why it cannot be used.
+    /// Answer to [`Order::Arm`]: the camera is armed and its queue empty, or why it cannot be used.
     Armed(Result<(), CameraError>),
-    /// After [`Order::Close`]: nothing is open any more.
+    /// Answer to [`Order::Close`]: no view is open any more.
     Closed,
-    /// A frame for the report.
+    /// One frame, reduced to a picture for the report.
     Picture(Picture),
 }
 
-/// Which frame to keep for the report.
+/// Which frame to keep as the report's picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Keepsake {
     /// Exposure step.
@@ -83,35 +83,35 @@ pub struct Keepsake {
     pub pattern: u16,
 }
 
-/// How frames are judged and kept.
+/// Settings for checking frames and for the picture that is kept.
 #[derive(Clone, Copy, Debug)]
 pub struct RecorderSettings {
-    /// What is brighter counts as lit, DN.
+    /// Pixels above this level count as lit, DN.
     pub lit_dn: f64,
     /// The frame that the report shows.
     pub keepsake: Keepsake,
     /// Full scale of the sensor, DN.
     pub full_scale_dn: u16,
-    /// What the head file says of the camera.
+    /// Properties of the camera in the head file.
     pub camera: HeadCamera,
 }
 
-/// The camera by the head's file.
+/// The camera as the head file describes it.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadCamera {
     /// Width and height, px.
     pub size_px: [u32; 2],
-    /// Bits, offset and gain of its sensor, where the file has one.
+    /// Bits, offset and gain of its sensor, if the file gives them.
     pub sensor: Option<Sensor>,
 }
 
-/// What a camera's gain may differ from the calibrated one: a maker states it to some per cent.
+/// Largest relative difference between the camera's gain and the calibrated one: makers state the gain to a few per cent.
 const GAIN_TOLERANCE: f64 = 0.1;
-/// The same of the offset, DN: it drifts with temperature.
+/// Largest difference of the offset from the calibrated one, DN: it drifts with temperature.
 const OFFSET_TOLERANCE_DN: f64 = 20.0;
 
 impl HeadCamera {
-    /// Compares what the camera says of itself; what it does not say is not compared.
+    /// Compares the properties that the camera reports with the head file; properties that it does not report are not compared.
     fn fits(&self, word: &Ready) -> Result<(), CameraError> {
         let differs = |of: &'static str, got: String, expected: String| CameraError::Differs {
             model: word.model(),
@@ -166,7 +166,7 @@ pub struct Recorder<'a, S: FrameSource> {
     open: Option<CapturedView>,
     kept: Option<S::Frame>,
     saver: Option<Saver>,
-    /// Sessions before this one, the latest last: frames of them come late.
+    /// Sessions before this one, the latest last, because their frames may still arrive late.
     earlier: VecDeque<u32>,
 }
 
@@ -198,7 +198,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         }
     }
 
-    /// Runs until the job hangs up.
+    /// Runs until the job closes its channel.
     pub fn run(mut self) {
         loop {
             match self.orders.try_recv() {
@@ -238,8 +238,8 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         let _ = self.events.send(Recorded::Armed(armed));
     }
 
-    /// Tells the camera what comes, and waits for its word that it is armed and drained. Frames that still come are of an
-    /// earlier session.
+    /// Sends the plan to the camera and waits until it reports that it is armed and its queue is empty. Frames that arrive
+    /// meanwhile belong to an earlier session.
     fn arm_camera(&mut self, arm: Arm) -> Result<(), CameraError> {
         let unreachable = |error: ReceiveError| CameraError::Unreachable {
             reason: error.to_string(),
@@ -337,7 +337,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         }
     }
 
-    /// Takes the frames that are still on their way, and looks whether more come than were triggered.
+    /// Takes the frames that are still on their way, and checks whether more arrive than were triggered.
     fn drain(&mut self) {
         let planned = self.arm.map_or(0, |arm| arm.frames());
         loop {
@@ -375,7 +375,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         }
     }
 
-    /// Draws the kept frame's bright part out of the shared memory, as 8-bit grey, and releases it.
+    /// Makes an 8-bit grey picture of the lit part of the kept frame, read in shared memory, and releases the frame.
     fn show(&mut self) {
         let Some(frame) = self.kept.take() else {
             return;
@@ -386,7 +386,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
     }
 }
 
-/// A frame as an image, where it lies.
+/// A frame as an image in shared memory, without a copy.
 fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
     let header = frame.header();
     FrameView {
@@ -397,7 +397,7 @@ fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
     }
 }
 
-/// Crops a frame to where it is lit and spreads its counts over 8 bits; reads the frame where it lies.
+/// Crops a frame to its lit part and scales its counts to 8 bits; reads the frame in place.
 fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
     let row = |y: usize| {
         view.pixels
@@ -422,7 +422,7 @@ fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
             grey: vec![0],
         };
     }
-    // White is the count that one pixel in a thousand exceeds: highlights and hot pixels do not darken the rest.
+    // White is the count that one pixel in a thousand exceeds, so that highlights and hot pixels do not darken the rest.
     let mut brighter = histogram.iter().sum::<usize>() / 1000;
     let white = histogram.iter().rposition(|&count| {
         let here = brighter < count;
@@ -442,7 +442,7 @@ fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
     }
 }
 
-/// The sending ends that the job keeps.
+/// Sender of orders, kept by the job.
 pub type Orders = Sender<Order>;
 
 #[cfg(test)]
@@ -495,7 +495,7 @@ mod tests {
         );
     }
 
-    /// A camera that says a word after so many looks.
+    /// A camera that reports its state after a number of polls.
     struct Spoken {
         words: Vec<Ready>,
         armed: Vec<u32>,

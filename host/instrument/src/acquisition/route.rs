@@ -1,7 +1,7 @@
-//! In which order views are visited: the one that takes least time, and what that time is made of.
+//! Order in which views are visited: the one that takes least time, and the parts of that time.
 //!
-//! Both axes go at once; a leg takes as long as the slower one ([`StageConfig`] has their dynamics). The order is exact: Held and
-//! Karp's dynamic programme over sets of views (J. SIAM 10, 1962), a million steps for the 16 views that a plan holds.
+//! Both axes move at once, so a leg takes as long as the slower one ([`StageConfig`] has their dynamics). The order is exact, by
+//! Held and Karp's dynamic programme over sets of views (J. SIAM 10, 1962): a million steps for the 16 views that a plan holds.
 
 use std::fmt;
 
@@ -9,29 +9,29 @@ use flankscope_protocol::{StageConfig, View};
 
 use super::program::{Program, StagePosition};
 
-/// A way through all views, from where the stages stand.
+/// A route through all views, from the present position of the stages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
-    /// The views, as they are visited.
+    /// Indices of the views in the order of visits.
     pub order: Vec<usize>,
-    /// What its time is made of.
+    /// Parts of its time.
     pub time: RouteTime,
 }
 
-/// What the time of a check is made of by the stated dynamics, from the first move to the last exposure, s.
+/// Parts of the time of a check by the configured dynamics, from the first move to the last exposure, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RouteTime {
     /// Legs on which the rotary axis was the slower one.
     pub rotation_s: f64,
     /// Legs on which the vertical axis was the slower one.
     pub insertion_s: f64,
-    /// Waits for what moved to stand still.
+    /// Settling times after moves.
     pub settling_s: f64,
     /// Frames, with pattern changes and readout.
     pub exposure_s: f64,
 }
 
-/// What every view takes besides the way to it, s.
+/// Time that every view takes besides the move to it, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stay {
     settling_s: f64,
@@ -39,13 +39,13 @@ struct Stay {
 }
 
 impl RouteTime {
-    /// All of it.
+    /// Sum of all parts, s.
     #[must_use]
     pub fn total_s(&self) -> f64 {
         self.parts().iter().map(|(_, part_s)| part_s).sum()
     }
 
-    /// What takes most of it.
+    /// Name of the largest part.
     #[must_use]
     pub fn bound(&self) -> &'static str {
         let [first, rest @ ..] = self.parts();
@@ -76,7 +76,7 @@ impl fmt::Display for RouteTime {
     }
 }
 
-/// Time of a leg, us; between legs of equal time the one that turns less.
+/// Time of a leg, µs; between legs of equal time, the smaller rotation is preferred.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 struct Cost {
     time_us: u64,
@@ -92,7 +92,7 @@ impl Cost {
     }
 }
 
-/// Time of both axes, us: rotary, vertical.
+/// Time of both axes, µs: rotary, vertical.
 fn axes_us(stage: &StageConfig, from: View, to: View) -> [u64; 2] {
     let turn = stage.rotation.travel_time(from.rotation, to.rotation);
     let lift = stage.vertical.travel_time(from.vertical, to.vertical);
@@ -108,7 +108,7 @@ fn cost(stage: &StageConfig, from: View, to: View) -> Cost {
 }
 
 impl Program {
-    /// The quickest way through all views for stages that stand at `start`; at most as many as a plan holds.
+    /// The quickest route through all views for stages at `start`; at most as many views as a plan holds.
     pub fn quickest_from(&self, start: View) -> Route {
         let views: Vec<View> = self.positions.iter().map(StagePosition::view).collect();
         let stay = Stay {
@@ -119,7 +119,7 @@ impl Program {
     }
 }
 
-/// The quickest way through `views`.
+/// The quickest route through `views`.
 ///
 /// At most [`flankscope_protocol::plan::MAX_VIEWS`]: memory and time grow with two to the power of their number.
 fn quickest(stage: &StageConfig, start: View, views: &[View], stay: Stay) -> Route {
@@ -152,7 +152,7 @@ fn quickest_order(stage: &StageConfig, start: View, views: &[View]) -> Vec<usize
         .iter()
         .map(|&from| views.iter().map(|&to| cost(stage, from, to)).collect())
         .collect();
-    // Quickest way through a set of views that ends at one of them, and the view before that.
+    // Quickest route through a set of views that ends at one of them, and the view before that.
     let mut best: Vec<Option<(Cost, usize)>> = vec![None; n << n];
     for (view, &at) in views.iter().enumerate() {
         best[(1 << view) * n + view] = Some((cost(stage, start, at), view));
@@ -219,7 +219,7 @@ mod tests {
         total
     }
 
-    /// Every order there is (Heap 1963).
+    /// All permutations of `n` views (Heap 1963).
     fn every_order(n: usize) -> Vec<Vec<usize>> {
         fn permute(k: usize, order: &mut Vec<usize>, all: &mut Vec<Vec<usize>>) {
             if k <= 1 {
@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_full_plan_is_planned_exactly_along_a_line() {
-        // Every leg is at least a step of 10 degrees: no way is shorter than step by step from the near end.
+        // Every leg is at least a step of 10 degrees, so no route is shorter than step by step from the near end.
         let views: Vec<View> = (0..16)
             .map(|i| deg(f64::from(i * 7 % 16) * 10.0 - 60.0, 33.0))
             .collect();
@@ -281,7 +281,7 @@ mod tests {
         assert!(angles.is_sorted(), "{angles:?}");
     }
 
-    /// Between orders of equal time the one that turns less: the insertion hides the first turn.
+    /// Between orders of equal time, the one with less rotation is chosen: the insertion takes longer than the first rotation.
     #[test]
     fn ties_turn_less() {
         let start = deg(3.0, 100.0);

@@ -1,4 +1,4 @@
-//! What a run has gathered: triggers, captured views, outcomes.
+//! State of a run: triggers, captured views, outcomes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -14,55 +14,55 @@ use flankscope_profilometry::Picture;
 /// What all captures of a run have gathered so far.
 #[derive(Debug)]
 pub struct Run<O> {
-    /// Every view that was asked for, in the order in which they are visited first.
+    /// Every requested view, in the order of the first visits.
     pub wanted: Vec<usize>,
-    /// The capture that runs.
+    /// The present capture.
     pub(super) session: Session,
-    /// What became of the views whose frames are whole.
+    /// Outcome of each view with complete frames, by view index.
     pub outcomes: BTreeMap<usize, O>,
-    /// Why others have none.
+    /// Why the other views have no outcome.
     pub problems: BTreeMap<usize, ViewError>,
     /// Triggers and frames counted.
     pub counts: Counts,
-    /// Activity of the devices.
+    /// Activity of the devices over time.
     pub timeline: Timeline,
     /// One raw frame for the report.
     pub picture: Option<Picture>,
-    /// How long the head may be in the die.
+    /// Longest time that the head may be in the die.
     pub hold_limit: Option<Duration>,
 }
 
-/// Bookkeeping of a run.
+/// Counters and times of a run.
 #[derive(Debug, Default)]
 pub struct Counts {
     /// Frames that the controller triggered.
     pub triggered: u64,
     /// Frames of views whose frames and triggers pair.
     pub received: u64,
-    /// Time of those from the camera process to here, ns.
+    /// Time of those frames from the camera process to the host, ns.
     pub handover_ns: Vec<u64>,
-    /// The latest of all frames, of captures that were taken again, too, ms.
+    /// Largest delay of any frame, including captures that were repeated, ms.
     pub late_ms: f64,
     /// Views that had to be captured again.
     pub recaptured: u32,
     /// End of the last exposure, by the host's monotonic clock, ns; 0 without any.
     pub last_exposure_ns: u64,
-    /// When the last outcome was there, the same way.
+    /// Time of the last outcome, by the same clock, ns.
     pub last_outcome_ns: u64,
     /// Cycles of the press when the last capture began.
     pub press_cycles: u32,
 }
 
-/// One capture: of some views, under one session number.
+/// One capture of some views, under one session number.
 #[derive(Debug, Default)]
 pub(super) struct Session {
-    /// View of the program behind each view of the session.
+    /// Index in the program of each view of the session.
     pub views: Vec<usize>,
     /// Triggers per view of the session.
     pub triggers: Vec<Vec<Trigger>>,
-    /// When the controller's word of each came, by the host's monotonic clock, ns.
+    /// When the controller's report of each trigger arrived, by the host's monotonic clock, ns.
     pub arrived_ns: Vec<Vec<u64>>,
-    /// Captured views that wait for the rest of their triggers.
+    /// Captured views that wait for the reports of their remaining triggers.
     pub waiting: Vec<CapturedView>,
     /// Views whose frames cannot be trusted.
     spoiled: BTreeSet<usize>,
@@ -71,7 +71,7 @@ pub(super) struct Session {
 }
 
 impl Session {
-    /// Position among the session's views of the one that is captured now: of the latest with a trigger, the next.
+    /// Number of the session's views that have a trigger, which is the index of the next view.
     pub fn begun(&self) -> usize {
         let begun = |triggers: &&Vec<Trigger>| !triggers.is_empty();
         self.triggers.iter().filter(begun).count()
@@ -91,7 +91,7 @@ impl Session {
 }
 
 impl<O> Run<O> {
-    /// A run of these views; with a hold limit the head is out of the die by then.
+    /// A run of these views; with a hold limit, the head leaves the die before it ends.
     #[must_use]
     pub fn new(wanted: Vec<usize>, hold_limit: Option<Duration>) -> Self {
         Self {
@@ -119,20 +119,20 @@ impl<O> Run<O> {
         }
     }
 
-    /// A view's place in the order in which they were asked for: what everybody calls it by.
+    /// A view's position among the requested ones, by which messages and files refer to it.
     pub fn number(&self, view: usize) -> usize {
         let place = self.wanted.iter().position(|&wanted| wanted == view);
         place.unwrap_or(view)
     }
 
-    /// A view's frames cannot be trusted, whatever was made of them so far or is being made of them.
+    /// Marks a view's frames as unusable, including outcomes that exist or are being computed.
     pub(super) fn spoil(&mut self, view: usize, why: ViewError) {
         self.outcomes.remove(&view);
         self.session.spoiled.insert(view);
         self.problems.entry(view).or_insert(why);
     }
 
-    /// A frame came that nobody triggered: no view of the session can be trusted.
+    /// Marks every view of the session as unusable, because a frame arrived that was not triggered.
     pub(super) fn spoil_session(&mut self) {
         for view in self.session.views.clone() {
             self.spoil(view, ViewError::BeyondPlan);
@@ -158,7 +158,7 @@ impl<O> Run<O> {
         }
     }
 
-    /// Of these views, those without an outcome.
+    /// Those of `views` without an outcome.
     pub fn without_outcome(&self, views: &[usize]) -> Vec<usize> {
         let without = |view: &usize| !self.outcomes.contains_key(view);
         views.iter().copied().filter(without).collect()

@@ -1,4 +1,4 @@
-//! The instrument's host side: the threads that frames and sums pass through, whatever is measured.
+//! Host side of the instrument: the threads that frames and sums pass through, independent of what is measured.
 
 use std::path::Path;
 use std::sync::{Arc, mpsc};
@@ -15,14 +15,14 @@ use super::recorder::{HeadCamera, Keepsake, Order, Orders, Recorded, Recorder, R
 use super::recording::{Playback, SavedView, Saver};
 use super::sums::{ViewSums, planned_frames};
 
-/// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
+/// The running threads and the shared memory in which frames arrive. `O` is the outcome of a view's evaluation.
 ///
-/// Made before the camera process starts, so that the services are there when it comes.
+/// Made before the camera process starts, so that the shared-memory services exist when it connects.
 #[derive(Debug)]
 pub struct Acquisition<O> {
     pub(super) program: Program,
     full_scale_dn: u16,
-    /// Tells the source of recorded frames what to read; `None` where frames come from a camera.
+    /// Requests views from the source of recorded frames; `None` if frames come from a camera.
     pub(super) playback: Option<Playback>,
     orders: Option<Orders>,
     pub(super) recorded: channel::UnboundedReceiver<Recorded>,
@@ -30,7 +30,7 @@ pub struct Acquisition<O> {
     pub(super) work: Option<mpsc::Sender<(usize, ViewSums)>>,
     pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
-    /// Captures whose frames lie on the disk, where that was asked for.
+    /// Captures that were saved to files, if requested.
     pub(super) saved: Vec<SavedView>,
 }
 
@@ -39,7 +39,7 @@ impl<O: Send + 'static> Acquisition<O> {
     /// frames ([`Self::play`]), and the compute thread, which calls `evaluate` for the sums of each view.
     ///
     /// # Errors
-    /// Shared memory or a thread is refused.
+    /// Shared memory or a thread cannot be created.
     pub fn start(
         program: Program,
         decoder: &Arc<Decoder>,
@@ -66,7 +66,7 @@ impl<O: Send + 'static> Acquisition<O> {
             lit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
                 exposure: program.exposures_us.len() as u16 / 2,
-                // The last of the finest fringes.
+                // The last pattern of the finest fringes.
                 pattern: program
                     .patterns
                     .sets
@@ -85,7 +85,7 @@ impl<O: Send + 'static> Acquisition<O> {
         let (ready_sender, ready) = mpsc::channel();
         let capture_decoder = Arc::clone(decoder);
         let lit_ratios = program.lit_ratios.clone();
-        // Ports stay on the thread that made them.
+        // Shared-memory ports must stay on the thread that created them.
         let capture = std::thread::Builder::new()
             .name("capture".into())
             .spawn(move || {
@@ -139,7 +139,7 @@ impl<O: Send + 'static> Acquisition<O> {
         })
     }
 
-    /// How the lens is driven from the next capture on.
+    /// Sets how the lens is driven from the next capture on.
     pub fn drive(&mut self, lens: LensDrive) {
         self.program.lens = Some(lens);
     }
@@ -149,12 +149,12 @@ impl<O: Send + 'static> Acquisition<O> {
         &self.program
     }
 
-    /// Has all frames that follow written into `folder`, beside being summed.
+    /// Also writes all following frames into `folder`.
     pub fn save_frames(&self, folder: &Path) -> Result<(), AcquisitionError> {
         self.order(Order::Save(Saver::new(folder, self.full_scale_dn)))
     }
 
-    /// The captures that were written since this was last asked, in their order.
+    /// The captures that were saved since the last call, in their order.
     pub fn take_saved(&mut self) -> Vec<SavedView> {
         std::mem::take(&mut self.saved)
     }
@@ -171,7 +171,7 @@ impl<O: Send + 'static> Acquisition<O> {
 
 impl<O> Drop for Acquisition<O> {
     fn drop(&mut self) {
-        // The threads end when their orders end.
+        // The threads end when their channel of orders is closed.
         self.orders = None;
         self.work = None;
         for thread in [self.compute.take(), self.capture.take()]

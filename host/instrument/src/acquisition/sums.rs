@@ -2,19 +2,19 @@
 
 use flankscope_profilometry::{Accumulator, Decoder, FrameError, FrameKind, FrameLevel, FrameView};
 
-/// What a frame of a view is.
+/// Role of one frame within a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedFrame {
-    /// The pass that it belongs to, from 0; the dark frame belongs to all.
+    /// Its pass, from 0; the dark frame belongs to all passes.
     pub pass: usize,
-    /// What it shows.
+    /// Kind of frame: dark, fringe or code.
     pub kind: FrameKind,
-    /// A mean level that a dark frame stays below and a lit one exceeds, DN.
+    /// Mean level that a dark frame stays below and a lit one exceeds, DN.
     pub dark_limit_dn: f64,
 }
 
-/// The frames of a view in the order of their triggers: dark, then at each exposure every pass after the other. `lit_ratios` are
-/// the shares of all mirrors' light that the passes give; none: one pass of all mirrors.
+/// The frames of a view in the order of their triggers: the dark frame, then for each exposure all passes one after the other.
+/// `lit_ratios` are the fractions of the light of all mirrors that the passes give; empty: one pass of all mirrors.
 pub fn planned_frames(decoder: &Decoder, lit_ratios: &[f64]) -> Vec<PlannedFrame> {
     let plain = decoder.dark_limit_dn();
     let offset_dn = decoder.sensor().offset_dn;
@@ -31,7 +31,7 @@ pub fn planned_frames(decoder: &Decoder, lit_ratios: &[f64]) -> Vec<PlannedFrame
         for (pass, lit_ratio) in passes.take(if is_dark { 1 } else { lit_ratios.len() }) {
             let dark_limit_dn = match is_dark {
                 true => plain,
-                // Less of the field is bright.
+                // A pass lights less of the field, so its mean level is lower.
                 false => offset_dn + lit_ratio * (plain - offset_dn),
             };
             frames.extend(of_exposure.iter().map(|&kind| PlannedFrame {
@@ -48,7 +48,7 @@ pub fn planned_frames(decoder: &Decoder, lit_ratios: &[f64]) -> Vec<PlannedFrame
 #[derive(Clone, Debug)]
 pub struct ViewSums {
     first: Accumulator,
-    /// Those of later passes, or of a second projector.
+    /// Sums of later passes, or of a second projector.
     others: Vec<Accumulator>,
 }
 
@@ -64,7 +64,7 @@ impl ViewSums {
         Self { first, others }
     }
 
-    /// Forgets the view.
+    /// Clears the sums for the next view.
     pub fn reset(&mut self) {
         self.others.extend(self.first.take_second());
         self.passes().for_each(Accumulator::reset);
@@ -73,7 +73,7 @@ impl ViewSums {
     /// Adds a frame to the sums of its pass.
     ///
     /// # Errors
-    /// It has another size, comes in another order, or is dark or lit where it should not be.
+    /// The frame has another size, comes in another order, or is dark or lit where it should not be.
     pub fn add(&mut self, frame: FrameView<'_>, planned: PlannedFrame) -> Result<(), FrameError> {
         let PlannedFrame {
             pass,
@@ -92,7 +92,7 @@ impl ViewSums {
         std::iter::once(&mut self.first).chain(&mut self.others)
     }
 
-    /// The sums of the view; empty ones, which no decoder takes for a view, if a pass is not whole.
+    /// The sums of the view. If a pass is incomplete, empty ones, which no decoder accepts as a view.
     pub fn joined(&mut self, decoder: &Decoder) -> &Accumulator {
         if decoder.projectors() > 1
             && let Some(second) = self.others.pop()
@@ -136,7 +136,7 @@ mod tests {
         let lit_ratios = [0.5, 0.25, 1.0];
         let frames = planned_frames(&decoder, &lit_ratios);
         assert_eq!(frames.len(), 1 + 2 * 3 * 12);
-        // The controller's own count of the same plan.
+        // The controller's own frame order for the same plan.
         let order = flankscope_protocol::plan::FrameOrder {
             exposures: 2,
             patterns: 36,

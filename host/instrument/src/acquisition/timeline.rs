@@ -1,4 +1,4 @@
-//! What the devices did when, from the controller's events.
+//! Activity of each device over time, from the controller's events.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ pub struct Timeline {
     state_since: Timestamp,
     latest: Timestamp,
     led_since: Option<Timestamp>,
-    /// Time between two captures of one check, in which the press was free.
+    /// Time between two captures of one check in which the press was not held, ms.
     free_ms: f64,
 }
 
@@ -62,7 +62,8 @@ impl Timeline {
         }
     }
 
-    /// In which states the press is held: all between `Ready` and `Ready`, and what a fault leaves is not known to be clear.
+    /// Records whether the press is held in a state: it is from leaving `Ready` until `Ready` again, because after a fault the
+    /// die is not known to be clear.
     fn note_hold(&mut self, next: State, at: Timestamp) {
         if next != State::Ready {
             self.held_since.get_or_insert(at);
@@ -81,7 +82,7 @@ impl Timeline {
         }
     }
 
-    /// From the first event to the latest by the controller's clock, without the time in which the press was free.
+    /// Time from the first event to the latest by the controller's clock, without the time in which the press was not held.
     #[must_use]
     pub fn elapsed(&self) -> Duration {
         let all = Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)));
@@ -103,7 +104,7 @@ impl Timeline {
     /// When each device was active.
     #[must_use]
     pub fn activities(mut self) -> Vec<Activity> {
-        // Not given back while anybody listened.
+        // The press was not released before the last event.
         if let Some(since) = self.held_since.take() {
             let span = self.span(since, self.latest);
             self.held.push(span);
@@ -120,7 +121,7 @@ impl Timeline {
     }
 }
 
-/// Of no spans 0: the sum of no numbers is −0 to Rust.
+/// Sum of the spans; 0 without any, because Rust's sum of no numbers is −0.
 fn sum<'a>(spans: impl Iterator<Item = &'a Span>) -> f64 {
     spans.map(length).fold(0.0, |sum, length| sum + length)
 }

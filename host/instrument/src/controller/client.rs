@@ -1,4 +1,4 @@
-//! Orders with an answer, events in order, and a heartbeat while both are awaited.
+//! Commands with a reply, events in order, and a heartbeat while the client waits for either.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -17,25 +17,25 @@ use super::link::{Incoming, Link, LinkError};
 /// Attempts at one command, the first included.
 const ATTEMPTS: u32 = 4;
 
-/// How patiently the client talks.
+/// Timeouts of the client.
 #[derive(Clone, Debug)]
 pub struct ClientSettings {
     /// Wait for an answer before the same command is sent again.
     pub answer: Duration,
     /// Time between heartbeats; `None`: a third of what the controller allows.
     pub heartbeat: Option<Duration>,
-    /// Longest time by which triggers and frames may be late against the clock of who tells of them; `None`: the controller's
-    /// clock is not real time.
+    /// Largest delay of triggers and frames relative to the clock of the device that reports them; `None`: the controller's clock
+    /// is not real time.
     pub stall: Option<Duration>,
-    /// Longest silence of the controller while it works before the link counts as lost.
+    /// Longest silence of a busy controller before the link counts as lost.
     pub silence: Duration,
-    /// Who may wish that what runs ends.
+    /// Signals that the operator wants the run to end.
     pub interrupt: Interrupt,
 }
 
 impl Default for ClientSettings {
-    /// 250 ms for an answer: a hundred times a frame's time on the wire. 2 s of standing still: a busy host's threads wait for
-    /// a tenth of that. 15 s of silence: the longest move of a plan's timeouts, and a margin.
+    /// Answer: 250 ms, a hundred times a frame's time on the wire. Stall: 2 s; threads of a busy host wait for a tenth of that.
+    /// Silence: 15 s, the longest move by a plan's timeouts, and a margin.
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
@@ -47,30 +47,30 @@ impl Default for ClientSettings {
     }
 }
 
-/// Why the controller cannot be worked with. Link trouble, refusals and nonsense are told apart.
+/// Why the controller cannot be used. Link errors, refusals and invalid replies are told apart.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ClientError {
-    /// The bytes do not flow.
+    /// The link failed.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// No answer in spite of retries.
+    /// No reply after all retries.
     #[error(
         "the port answers nothing: {attempts} tries of {timeout_ms} ms each (is it the controller's port, is the firmware running?)"
     )]
     Silent {
-        /// Tries made.
+        /// Number of tries.
         attempts: u32,
         /// Patience per try, ms.
         timeout_ms: u128,
     },
-    /// The controller said no.
+    /// The controller refused the command.
     #[error("the controller refuses: {0}")]
     Refused(#[from] Refusal),
-    /// An answer of the wrong kind.
+    /// The reply is of another kind than the command expects.
     #[error("the controller gave an answer that does not fit the command")]
     Unfitting,
-    /// Versions differ.
+    /// Protocol versions differ.
     #[error(
         "the controller speaks protocol {controller} (layout {controller_schema:#010x}), this host {host} (layout {host_schema:#010x}): install matching releases"
     )]
@@ -87,25 +87,25 @@ pub enum ClientError {
     /// An event is missing from the record.
     #[error("{missing} event(s) before number {sequence} are missing")]
     EventsMissing {
-        /// How many.
+        /// Number of missing events.
         missing: u16,
-        /// The event after the gap.
+        /// Number of the event after the gap.
         sequence: u16,
     },
-    /// An event came again, or after a later one.
+    /// An event was received twice, or after a later one.
     #[error(
         "event number {sequence} came after number {last}: it was doubled on the line, or is of another controller"
     )]
     EventRepeated {
-        /// The event.
+        /// Number of the event.
         sequence: u16,
-        /// The latest before.
+        /// Number of the latest event before it.
         last: u16,
     },
-    /// Nothing happened within the time allowed.
+    /// No event within the time allowed.
     #[error("no event within {timeout_ms} ms")]
     NoEvent {
-        /// Patience, ms.
+        /// Longest wait, ms.
         timeout_ms: u128,
     },
 }
@@ -122,7 +122,7 @@ pub struct Client {
     next_heartbeat: Instant,
     events: VecDeque<Event>,
     last_event: Option<u16>,
-    /// Frames that were no message.
+    /// Frames that could not be decoded.
     dropped: u64,
 }
 
@@ -189,19 +189,19 @@ impl Client {
         Ok(client)
     }
 
-    /// What answered.
+    /// Identity and limits that the controller reported.
     #[must_use]
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// Frames that came damaged and were dropped.
+    /// Frames that arrived damaged and were dropped.
     #[must_use]
     pub fn frames_dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// Gives an order that is answered by "accepted".
+    /// Sends a command that is answered by "accepted".
     ///
     /// # Errors
     /// Refused, or no answer.
@@ -212,7 +212,7 @@ impl Client {
         }
     }
 
-    /// Says which stages these are; plans are judged by their travel from here on.
+    /// Sends the configuration of the stages; from here on the controller checks plans against their travel.
     ///
     /// # Errors
     /// The controller refuses them, or no answer.
@@ -226,14 +226,14 @@ impl Client {
         Ok(())
     }
 
-    /// What the stages say they are, rotation and vertical; nothing moves. [`Client::configure`] comes before.
+    /// Models that the stages report, rotation and vertical; nothing moves. Needs [`Client::configure`] before.
     ///
     /// # Errors
     /// Refused, or no answer of the controller.
     pub async fn identify_stages(
         &mut self,
     ) -> Result<[Result<StageName, FaultCode>; 2], ClientError> {
-        /// Longer than both axes may take.
+        /// More than the time that both axes may take to answer.
         const PATIENCE: Duration = Duration::from_secs(3);
         self.order(&Command::IdentifyStages).await?;
         let mut answers = Vec::new();
@@ -247,7 +247,7 @@ impl Client {
         }
     }
 
-    /// What the controller is doing.
+    /// Present state of the controller.
     ///
     /// # Errors
     /// No answer.
@@ -258,7 +258,7 @@ impl Client {
         }
     }
 
-    /// Who may wish that what runs ends.
+    /// Signals that the operator wants the run to end.
     #[must_use]
     pub fn interrupt(&self) -> Interrupt {
         self.settings.interrupt.clone()
@@ -270,7 +270,7 @@ impl Client {
         self.settings.silence
     }
 
-    /// Longest time by which triggers and frames may be late; none where the controller's clock is not real time.
+    /// Largest delay allowed of triggers and frames; `None` if the controller's clock is not real time.
     #[must_use]
     pub fn stall_limit(&self) -> Option<Duration> {
         self.settings.stall
@@ -287,14 +287,14 @@ impl Client {
                 return Ok(event);
             }
             if Instant::now() >= self.next_heartbeat {
-                // Its reply is not waited for: a lost heartbeat is followed by the next one.
+                // The reply is not waited for: a lost heartbeat is followed by the next one.
                 self.sequence = self.sequence.wrapping_add(1);
                 self.link.send(self.header(), &Command::Heartbeat)?;
                 self.next_heartbeat = Instant::now() + self.heartbeat;
             }
             match timeout_at(end.min(self.next_heartbeat), self.link.receive()).await {
                 Ok(incoming) => {
-                    // Only an event is wanted; what answers an earlier heartbeat is of no interest.
+                    // Only events are wanted here; replies to earlier heartbeats are ignored.
                     self.sort(incoming?)?;
                 }
                 Err(_) if Instant::now() < end => {}
@@ -307,7 +307,7 @@ impl Client {
         }
     }
 
-    /// Drops the events that have arrived and were not asked for: what happened before the next order.
+    /// Drops the events that arrived before the next command.
     pub fn forget_events(&mut self) {
         self.events.clear();
     }

@@ -1,43 +1,43 @@
-//! Somebody's wish, from outside, that what runs ends: the head comes out, and nothing new begins.
+//! Interruption of a run from outside, by the operator: the head leaves the die, and nothing new begins.
 
 use tokio::sync::watch;
 
-/// Whoever may wish it.
+/// The sender, for the part of the program that hears the operator.
 #[derive(Debug)]
 pub struct Interrupter(watch::Sender<bool>);
 
 impl Interrupter {
-    /// Wishes it, once and for all.
+    /// Requests the interruption; cannot be taken back.
     pub fn interrupt(&self) {
         self.0.send_replace(true);
     }
 }
 
-/// Whoever is to end.
+/// The receiver, for the parts of the program that have to end.
 #[derive(Clone, Debug)]
 pub struct Interrupt(watch::Receiver<bool>);
 
 impl Interrupt {
-    /// Both ends.
+    /// Sender and receiver.
     #[must_use]
     pub fn pair() -> (Interrupter, Self) {
         let (sender, receiver) = watch::channel(false);
         (Interrupter(sender), Self(receiver))
     }
 
-    /// Of nobody.
+    /// A receiver that is never interrupted.
     #[must_use]
     pub fn never() -> Self {
         Self::pair().1
     }
 
-    /// Whether it is wished.
+    /// Whether the interruption was requested.
     #[must_use]
     pub fn is_requested(&self) -> bool {
         *self.0.borrow()
     }
 
-    /// Waits until it is wished; for ever, when nobody is left who could. May be dropped and waited for again.
+    /// Waits until the interruption is requested; for ever if the sender is gone. Cancel safe.
     pub async fn requested(&mut self) {
         if self.0.wait_for(|&wished| wished).await.is_err() {
             std::future::pending().await

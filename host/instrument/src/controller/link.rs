@@ -1,4 +1,4 @@
-//! Bytes to messages and back, on two threads, so that neither a slow port nor a slow host blocks the other.
+//! Converts bytes to messages and back, on two threads, so that neither a slow port nor a slow host blocks the other.
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -15,10 +15,10 @@ use flankscope_protocol::{
 use serialport::{DataBits, StopBits};
 use tokio::sync::mpsc;
 
-/// How long the reader waits for bytes before it looks whether the link was closed.
+/// How long the reader waits for bytes before it checks whether the link was closed.
 const POLL: Duration = Duration::from_millis(20);
 
-/// How long a link that closes waits for its threads: ten polls.
+/// How long closing waits for the threads: ten polls.
 const LETTING_GO: Duration = Duration::from_millis(200);
 
 /// Why there is no link.
@@ -35,7 +35,7 @@ pub enum LinkError {
         /// The driver's reason.
         source: serialport::Error,
     },
-    /// The port went away.
+    /// The port was disconnected.
     #[error("the link is gone: {reason}")]
     Gone {
         /// The driver's reason.
@@ -53,28 +53,28 @@ pub enum Incoming {
     Reply(Header, Reply),
     /// Something that happened.
     Event(Header, Event),
-    /// Bytes that were no message.
+    /// Bytes that could not be decoded.
     Dropped(DecodeError),
-    /// The port is gone; nothing follows.
+    /// The port was disconnected; nothing follows.
     Gone(String),
 }
 
 /// An open port.
 #[derive(Debug)]
 pub struct Link {
-    /// None once it closes: the writer then ends.
+    /// `None` once the link closes, which ends the writer.
     outgoing: Option<std::sync::mpsc::Sender<Vec<u8>>>,
     incoming: mpsc::UnboundedReceiver<Incoming>,
     open: Arc<AtomicBool>,
-    /// Writer and reader, each with its hold on the port.
+    /// Writer and reader; each holds the port.
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Link {
-    /// Opens a serial port, set as [`Line::HOST`] has it; a pseudo-terminal carries bytes at any speed.
+    /// Opens a serial port with the settings of [`Line::HOST`]; a pseudo-terminal ignores the speed.
     ///
     /// # Errors
-    /// There is no such port, or another program holds it.
+    /// The port does not exist, or another program holds it.
     pub fn open(port: &Path) -> Result<Self, LinkError> {
         let name = port.to_string_lossy().into_owned();
         let opened = set(&name, Line::HOST).timeout(POLL).open();
@@ -151,7 +151,7 @@ impl Link {
         })
     }
 
-    /// Hands a command to the writer.
+    /// Queues a command for the writer.
     ///
     /// # Errors
     /// The message does not fit a frame, or the port is gone.
@@ -168,7 +168,7 @@ impl Link {
         }
     }
 
-    /// The next thing that comes.
+    /// The next message, event or error that arrives.
     ///
     /// # Errors
     /// The port is gone.
@@ -183,7 +183,7 @@ impl Link {
     }
 }
 
-/// A port of this name with a line's settings.
+/// A builder for a port with a line's settings.
 fn set(name: &str, line: Line) -> serialport::SerialPortBuilder {
     serialport::new(name, line.baud)
         .data_bits(match line.data_bits {
@@ -206,8 +206,8 @@ fn set(name: &str, line: Line) -> serialport::SerialPortBuilder {
 }
 
 impl Drop for Link {
-    /// The port is held by one at a time: whoever opens it next should find it free. A device that takes no more bytes may hold the
-    /// writer for ever, and must not hold the host.
+    /// Waits for the threads, so that the next program finds the port free. The wait is limited, because a device that takes no
+    /// more bytes can block the writer for ever.
     fn drop(&mut self) {
         self.open.store(false, Ordering::Relaxed);
         self.outgoing = None;

@@ -1,7 +1,6 @@
-//! The controller, as the host sees it: a serial port behind which orders are answered and events arrive.
+//! The controller as seen from the host: a serial port that answers commands and sends events.
 //!
-//! `link` moves bytes on threads of its own; `client` speaks the protocol on the I/O runtime;
-//! `interrupt` is how somebody ends what runs.
+//! `link` moves bytes on its own threads; `client` speaks the protocol on the I/O runtime; `interrupt` lets the operator end a run.
 
 mod client;
 mod interrupt;

@@ -1,4 +1,4 @@
-//! The controller: whether it answers, and as what.
+//! Findings on the controller: whether it answers, its identity, the stages and the press.
 
 use std::path::Path;
 use std::time::Instant;
@@ -15,21 +15,21 @@ use crate::controller::{Client, ClientError, ClientSettings, LinkError};
 
 const CHECK: &str = "controller";
 
-/// What the stages answered, rotation and vertical, or why they were not asked.
+/// Models that the stages report, rotation and vertical, or why they were not asked.
 type StageAnswers = Result<[Result<StageName, FaultCode>; 2], String>;
 
-/// What the controller said.
+/// Answers of the controller.
 struct Answer {
     identity: Identity,
     status: Status,
     answer_ms: u128,
     stages: StageAnswers,
-    /// The fault that it stood in until now.
+    /// The fault that was acknowledged, if any.
     acknowledged: Option<FaultCode>,
 }
 
-/// Says hello, asks for the status and for what the stages are, and acknowledges a fault if somebody wants that; nothing moves. The
-/// second finding is of the stages, the third of the press.
+/// Connects, asks for the status and the models of the stages, and acknowledges a fault if requested; nothing moves. The second
+/// finding is about the stages, the third about the press.
 #[must_use]
 pub fn controller(
     port: &Path,
@@ -82,7 +82,7 @@ fn ask(
             client.order(&Command::AcknowledgeFault).await?;
             status = client.status().await?;
         }
-        // As it is without a station: the limits are narrowed by whom they are told.
+        // The identity before the stages are configured, because configuring them narrows its limits.
         let identity = *client.identity();
         let stages = match asked(&mut client, stage).await {
             Ok(answers) => Ok(answers),
@@ -99,7 +99,7 @@ fn ask(
     })
 }
 
-/// What the stages are that have this line and these axes. Who measures says them anew.
+/// The models that the stages report over this line and these axes. A later measurement configures them again.
 async fn asked(
     client: &mut Client,
     stage: &StageConfig,
@@ -183,7 +183,7 @@ fn answered(answer: &Answer) -> Finding {
     finding.with(figures)
 }
 
-/// The stages as the station's file has them, and what they say they are.
+/// Finding on the stages: the configuration in the station file, and the models that they report.
 fn stages(answer: &Answer, stage: &StageConfig) -> Finding {
     let Answer {
         identity,
@@ -256,7 +256,7 @@ fn stages(answer: &Answer, stage: &StageConfig) -> Finding {
     finding.with(figures)
 }
 
-/// `seen`, and whether the stages are those that the station names.
+/// Finding `seen`, with a check that the stages are the models in the station file.
 fn identified(seen: String, stage: &StageConfig, answers: &StageAnswers) -> Finding {
     const STAGES: &str = "stages";
     let answers = match answers {

@@ -1,4 +1,4 @@
-//! What the host's machine has to give: shared memory, disk, a clock that is right.
+//! Findings on the host computer: shared memory, free disk space, a plausible clock.
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -10,12 +10,12 @@ use serde_json::json;
 use super::Finding;
 
 const MEGABYTE: u64 = 1_000_000;
-/// Below this the next report or history row may already fail.
+/// Below this, writing the next report or history row may fail.
 const DISK_LEAST: u64 = 100 * MEGABYTE;
-/// Below this somebody should clear up: a check with its phasors takes some megabytes, a recording of frames hundreds.
+/// Below this, the operator should free space: a check with its phasors takes some megabytes, a recording of frames hundreds.
 const DISK_SOON: u64 = 1_000 * MEGABYTE;
 
-/// Bytes that are free for this user where `place` is, or will be.
+/// Bytes free for this user on the file system where `place` is, or will be.
 fn free_bytes(place: &Path) -> std::io::Result<u64> {
     let there = place.ancestors().find(|folder| folder.exists());
     let there = there.filter(|folder| !folder.as_os_str().is_empty());
@@ -23,7 +23,7 @@ fn free_bytes(place: &Path) -> std::io::Result<u64> {
     Ok(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
-/// Makes the services of a capture and takes them away again.
+/// Creates the shared-memory services of a capture and removes them again.
 #[must_use]
 pub fn shared_memory(base: &Path) -> Finding {
     const CHECK: &str = "shared memory";
@@ -61,7 +61,7 @@ pub fn shared_memory(base: &Path) -> Finding {
     Finding::ok(CHECK, seen).with(figures)
 }
 
-/// Room where results are written.
+/// Free space where results are written.
 #[must_use]
 pub fn disk(place: &Path) -> Finding {
     const CHECK: &str = "disk";
@@ -83,14 +83,14 @@ pub fn disk(place: &Path) -> Finding {
     finding.with(json!({ "free_bytes": free }))
 }
 
-/// Whether the clock can be right: nothing that was made can be of later than now. Each is what and its day.
+/// Whether the clock is plausible: no existing file or calibration may be dated later than now. Each entry is a name and its day.
 #[must_use]
 pub fn clock(made: &[(&str, Date)]) -> Finding {
     const CHECK: &str = "clock";
     const REMEDY: &str =
         "set the clock (timedatectl set-ntp true), or dates of checks and calibrations are wrong";
     let today = Date::today();
-    // Midnight passes at different times: a day ahead is no wrong clock.
+    // Time zones differ: a date one day ahead is no sign of a wrong clock.
     if let Some((what, date)) = made.iter().find(|(_, date)| *date > today.plus_days(1)) {
         let seen = format!("today is {today}, but {what} is of {date}");
         return Finding::failed(CHECK, seen, REMEDY);

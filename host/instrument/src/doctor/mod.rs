@@ -1,6 +1,6 @@
-//! What is installed, connected, calibrated and expired: a finding each, with the remedy.
+//! Checks what is installed, connected, calibrated and expired: one finding each, with its remedy.
 //!
-//! Every examination stands alone: none is left out because another one failed, and none moves anything.
+//! All checks are independent: none is skipped because another one failed. None moves anything.
 
 mod controller;
 mod machine;
@@ -11,17 +11,17 @@ use serde_json::Value;
 pub use controller::controller;
 pub use machine::{clock, disk, shared_memory};
 
-/// How something is.
+/// Health of a checked item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Health {
-    /// As it should be.
+    /// In order.
     Ok,
-    /// It works today, and somebody should know.
+    /// It works today, but needs action later.
     Attention,
-    /// Nothing can be measured like this.
+    /// No measurement is possible.
     Failed,
-    /// It could not be looked at, because of another finding.
+    /// It could not be checked, because of another finding.
     NotAsked,
 }
 
@@ -38,25 +38,25 @@ impl Health {
     }
 }
 
-/// One thing that was looked at.
+/// One checked item.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// What.
+    /// Name of the item.
     pub check: &'static str,
-    /// How it is.
+    /// Its health.
     pub health: Health,
-    /// What was seen, in words.
+    /// Observation, in words.
     pub seen: String,
-    /// What would make it right; absent where nothing is to be done.
+    /// How to correct it; absent if nothing is to be done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remedy: Option<String>,
-    /// The same in figures, for programs.
+    /// The observation as numbers, for programs.
     #[serde(skip_serializing_if = "Value::is_null")]
     pub figures: Value,
 }
 
 impl Finding {
-    /// As it should be.
+    /// A finding in order.
     #[must_use]
     pub fn ok(check: &'static str, seen: impl Into<String>) -> Self {
         Self {
@@ -68,7 +68,7 @@ impl Finding {
         }
     }
 
-    /// It works today; the remedy is for later.
+    /// A finding that needs action later.
     #[must_use]
     pub fn attention(
         check: &'static str,
@@ -82,7 +82,7 @@ impl Finding {
         }
     }
 
-    /// Nothing can be measured like this.
+    /// A finding that prevents measurements.
     #[must_use]
     pub fn failed(check: &'static str, seen: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Finding {
         }
     }
 
-    /// It could not be looked at.
+    /// An item that could not be checked.
     #[must_use]
     pub fn not_asked(check: &'static str, why: impl Into<String>) -> Self {
         Self {
@@ -101,13 +101,13 @@ impl Finding {
         }
     }
 
-    /// With figures for programs.
+    /// Adds numbers for programs.
     #[must_use]
     pub fn with(self, figures: Value) -> Self {
         Self { figures, ..self }
     }
 
-    /// One line: health, what, what was seen, remedy.
+    /// One line: health, item, observation, remedy.
     #[must_use]
     pub fn line(&self) -> String {
         let remedy = self.remedy.as_ref().map(|remedy| format!(" -> {remedy}"));
@@ -121,7 +121,7 @@ impl Finding {
     }
 }
 
-/// Whether something can be measured.
+/// Whether a measurement is possible.
 #[must_use]
 pub fn healthy(findings: &[Finding]) -> bool {
     findings

@@ -1,4 +1,4 @@
-//! Pictures of every pass, and what a view takes with them.
+//! Writes the pictures of every pass, and computes the capture time of a view with them.
 
 use std::path::{Path, PathBuf};
 
@@ -15,24 +15,24 @@ use crate::settings::Timing;
 use flankscope_foundation::files::write_whole;
 use flankscope_metrology::view::PlannedView;
 
-/// `adaptive.json`: what was written for a view.
+/// `adaptive.json`: the pictures that were written for a view.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Adaptive {
-    /// Of this document.
+    /// Format of this document.
     pub format: String,
     /// Name of the set.
     pub set: String,
-    /// The view that the pictures are for, and no other.
+    /// The view that the pictures were made for.
     pub view: PlannedView,
-    /// How far a pass reaches beyond what it lights, mm.
+    /// Distance by which a pass reaches beyond its own flanks, mm.
     pub margin_mm: f64,
-    /// How the mirrors lie.
+    /// Layout of the mirrors.
     pub mirrors: Mirrors,
     /// The passes, in the order in which they are shown.
     pub passes: Vec<Pass>,
-    /// What a view takes.
+    /// Capture time of a view.
     pub time: CaptureTime,
-    /// What the controllers need until the pictures of a view are there.
+    /// Time that each DMD controller needs to load the pictures of a view.
     #[serde(skip_deserializing)]
     pub loading: Vec<Loading>,
 }
@@ -40,29 +40,29 @@ pub struct Adaptive {
 /// One pass.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pass {
-    /// What it lights; the folder of its pictures and their `patterns.json`.
+    /// Surfaces that it lights; also names the folder of its pictures and their `patterns.json`.
     pub lights: Region,
-    /// Share of the mirrors.
+    /// Fraction of the mirrors that are lit.
     pub lit_ratio: f64,
-    /// How bright they are beside the plain pattern.
+    /// Brightness of its mirrors relative to the plain pattern.
     pub brightness_ratio: f64,
 }
 
-/// What a view takes from the first frame to the last, in passes and as a plain set, without loading.
+/// Time of a view from the first frame to the last, in passes and as a plain set, without loading.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureTime {
-    /// Frames, a dark one included.
+    /// Frames, including the dark one.
     pub frames: usize,
-    /// All exposures, waits for the mirrors and readouts, s.
+    /// All exposures, settling times of the mirrors and readouts, s.
     pub seconds: f64,
     /// Frames of the plain set.
     pub plain_frames: usize,
-    /// And what they take, s.
+    /// Time of the plain set, s.
     pub plain_seconds: f64,
 }
 
 impl CaptureTime {
-    /// Of a set at some exposures.
+    /// Time of a set at some exposures.
     #[must_use]
     pub fn of(set: &PatternSet, exposures_us: &[u32], timing: &Timing) -> Self {
         let wait_us = f64::from(timing.pattern_settle_us) + f64::from(timing.camera_readout_us);
@@ -126,12 +126,12 @@ pub fn write_adaptive(
 }
 
 impl Adaptive {
-    /// Its file.
+    /// File name.
     pub const FILE: &'static str = "adaptive.json";
-    /// Its format.
+    /// Format identifier.
     const FORMAT: &'static str = "flankscope/adaptive/1";
 
-    /// Reads what was written into a folder.
+    /// Reads the `adaptive.json` of a folder.
     ///
     /// # Errors
     /// [`AdaptiveError::Read`], [`AdaptiveError::Format`].
@@ -155,13 +155,13 @@ impl Adaptive {
         Ok(read)
     }
 
-    /// What they light in a check of these teeth, or of the tool file's.
+    /// Light of the pictures in a check of these views.
     ///
-    /// The pictures were made for one view. Those of other teeth are the same to a head if the stages bring each tooth where that
-    /// one was: what is cast of the drawing says so.
+    /// The pictures were made for one view. They fit other teeth too if the stages bring each tooth to the same place relative to
+    /// the head; casting rays on the drawing checks that.
     ///
     /// # Errors
-    /// They are of another set or of other mirrors, or leave dark what a pass of a view should light.
+    /// The pictures are for another set or another DMD, or leave mirrors dark that a pass should light.
     pub fn light(
         &self,
         tool: &Tool,
@@ -216,11 +216,11 @@ impl Adaptive {
     }
 }
 
-/// Why pictures in passes cannot be shown in a check.
+/// Why pictures in passes cannot be used in a check.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AdaptiveError {
-    /// No such document.
+    /// `adaptive.json` cannot be read.
     #[error("{}: {reason}; `flankscope patterns --adaptive TOOL --tooth N -o DIR` writes it", path.display())]
     Read {
         /// The file.
@@ -228,61 +228,61 @@ pub enum AdaptiveError {
         /// Why it cannot be used.
         reason: String,
     },
-    /// Passes are of one projector.
+    /// The head has two projectors, and passes need one.
     #[error(
         "the head has two projectors, which show whole patterns one after the other; passes are for a head with one"
     )]
     TwoProjectors,
-    /// Another document.
+    /// Another document, or another version of it.
     #[error("{} has format {got:?}; right would be {:?}", path.display(), Adaptive::FORMAT)]
     Format {
         /// The file.
         path: PathBuf,
-        /// What it says.
+        /// Format that it states.
         got: String,
     },
-    /// Other fringes.
+    /// Another pattern set than the head's.
     #[error(
         "the pictures show {got}, the head file says pattern_set = {expected:?}; make them anew"
     )]
     Set {
-        /// Of the pictures.
+        /// Set of the pictures.
         got: String,
-        /// Of the head.
+        /// Set in the head file.
         expected: String,
     },
-    /// Another DMD.
+    /// The pictures are for another DMD.
     #[error("the pictures are of other mirrors than the head file's; make them anew")]
     Mirrors,
-    /// Not the known passes.
+    /// The passes are not the known ones.
     #[error("the passes are not left, right and rest, in this order; make the pictures anew")]
     Regions,
-    /// A pass of nothing.
+    /// A pass lights no mirror.
     #[error(
         "the pass of {lights} lights no mirror: what it is for does not lie in the view; check without --adaptive"
     )]
     NothingLit {
-        /// Which.
+        /// Name of the pass.
         lights: &'static str,
     },
-    /// What must be lit is not.
+    /// Mirrors that must be lit are dark.
     #[error(
         "tooth {tooth}: {dark} mirrors that light its {lights} stay dark in the pictures, which were made for tooth {made_for} with \
          a margin of {margin_mm} mm; make them for a tooth that looks the same, or with a larger --margin"
     )]
     Dark {
-        /// In the middle of the view.
+        /// Tooth in the middle of the view.
         tooth: u32,
-        /// How many mirrors.
+        /// Number of dark mirrors.
         dark: usize,
-        /// What they light.
+        /// Surfaces that they light.
         lights: &'static str,
-        /// Tooth of the pictures.
+        /// Tooth that the pictures were made for.
         made_for: u32,
-        /// Their margin, mm.
+        /// Margin of the pictures, mm.
         margin_mm: f64,
     },
-    /// No passes by drawing and head.
+    /// The passes cannot be computed from drawing and head.
     #[error(transparent)]
     Passes(#[from] PassesError),
 }

@@ -2,10 +2,10 @@
 
 use flankscope_profilometry::HeadModel;
 
-/// What a check must know of the light of its patterns.
+/// Light of the patterns, as a check needs it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PatternLight {
-    /// Share of all mirrors' light that each pass gives; none: the patterns are shown once, by all mirrors.
+    /// Fraction of the light of all mirrors that each pass gives; empty: the patterns are shown once, by all mirrors.
     pub lit_ratios: Vec<f64>,
 }
 

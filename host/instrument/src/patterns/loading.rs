@@ -1,4 +1,4 @@
-//! How long it takes until new pictures are where a DMD shows them.
+//! Time to load new pictures into a DMD controller.
 //!
 //! | controller | bound | source |
 //! |---|---|---|
@@ -15,33 +15,33 @@ const BITS: u32 = 8;
 /// Bit planes of a picture.
 const PICTURE_BITS: u32 = 24;
 
-/// What one controller needs for some patterns.
+/// Loading time of one controller for some patterns.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Loading {
-    /// Which.
+    /// Name of the controller.
     pub controller: &'static str,
-    /// Pictures or bit planes that are loaded.
+    /// Number of pictures or bit planes to load.
     pub loads: usize,
-    /// At most so long; none where it cannot be done within a check, or nobody says.
+    /// Upper limit of the time, s; `None` if loading within a check is impossible, or no source states the time.
     pub at_most_s: Option<f64>,
-    /// What that presumes.
+    /// Assumptions of the limit.
     pub note: &'static str,
 }
 
-/// A DLPC350 loads a picture from its flash within this.
+/// Longest time in which a DLPC350 loads a picture from its flash, s.
 const DLPC350_PICTURE_S: f64 = 0.2;
-/// A DLPC900 holds no more pictures.
+/// Number of pictures that a DLPC900 holds.
 const DLPC900_PICTURES: usize = 18;
-/// What a picture's content begins with, bytes.
+/// Header of a picture's data, bytes.
 const DLPC900_HEADER: f64 = 48.0;
-/// Bytes of content in a packet, and with its length and the command around it.
+/// Bytes of picture data in a packet, and the size of the packet with its length and command.
 const DLPC900_PACKET: [f64; 2] = [504.0, 512.0];
 /// Full-speed HID: one transfer of 64 bytes each millisecond.
 const HID_BYTES_PER_S: f64 = 64_000.0;
-/// A DLP7000 takes a bit plane in this.
+/// Time in which a DLP7000 takes a bit plane, s.
 const DLPC410_PLANE_S: f64 = 43.22e-6;
 
-/// What the known controllers need for so many patterns of 8 bits.
+/// Loading times of the known controllers for a number of 8-bit patterns.
 #[must_use]
 pub fn loading(mirrors: Mirrors, patterns: usize) -> [Loading; 3] {
     let pictures = (patterns * BITS as usize).div_ceil(PICTURE_BITS as usize);
@@ -92,7 +92,7 @@ mod tests {
         let seconds = usb.at_most_s.unwrap();
         assert!((seconds - 149.824).abs() < 1e-9, "{seconds}");
         assert!((lvds.at_most_s.unwrap() - 4.14912e-3).abs() < 1e-12);
-        // More than 18 pictures at once are none.
+        // More than 18 pictures do not fit.
         assert_eq!(loading(mirrors, 55)[1].at_most_s, None);
         let other = Mirrors {
             columns: 912,

@@ -1,7 +1,7 @@
-//! The pictures that the DMD has to show, for its own mirrors, and what says which is which.
+//! The pictures that the DMD has to show, one pixel per mirror, and a manifest that assigns pictures to patterns.
 //!
-//! Brightness is a mirror's share of the exposure: no gamma, no scaling. Patterns are numbered as in a capture plan, from 1;
-//! number 0 is black, which every DMD controller can show without a picture.
+//! Brightness is the fraction of the exposure in which a mirror is on: no gamma, no scaling. Patterns are numbered as in a
+//! capture plan, from 1; number 0 is black, which every DMD controller can show without a picture.
 
 mod adaptive;
 mod light;
@@ -37,7 +37,7 @@ pub enum Packing {
 }
 
 impl Packing {
-    /// What suits mirrors: a DLPC350 is what drives those that stand on their corners.
+    /// Packing for a layout of mirrors: DMDs with diamond layout are driven by a DLPC350.
     #[must_use]
     pub fn of(mirrors: Mirrors) -> Self {
         match mirrors.arrangement {
@@ -47,20 +47,20 @@ impl Packing {
     }
 }
 
-/// `patterns.json`: what was written, in the order of a view's frames.
+/// `patterns.json`: the pictures that were written, in the order of a view's frames.
 #[derive(Clone, Debug, Serialize)]
 pub struct Manifest {
-    /// Of this document.
+    /// Format of this document.
     pub format: &'static str,
     /// Name of the set.
     pub set: String,
-    /// How the mirrors lie.
+    /// Layout of the mirrors.
     pub mirrors: Mirrors,
-    /// How the pictures are stored.
+    /// Storage of the pictures.
     pub packing: Packing,
-    /// Who drives the LED.
+    /// Which device drives the LED.
     pub led: &'static str,
-    /// What pattern 0 is.
+    /// How pattern 0 is shown.
     pub black: &'static str,
     /// The patterns, from number 1 on.
     pub patterns: Vec<Pattern>,
@@ -73,17 +73,17 @@ pub struct Manifest {
 pub struct Pattern {
     /// Its number in a capture plan.
     pub number: u16,
-    /// Its picture.
+    /// Picture file that contains it.
     pub file: String,
     /// Number of the picture, from 0: the image in flash.
     pub image: u16,
-    /// Number of the pattern in it, as the table of a DLPC350 has it.
+    /// Number of the pattern within the picture, as in the pattern table of a DLPC350.
     pub pattern_in_image: u8,
-    /// Its bits of the picture, most significant first.
+    /// Its bit planes in the picture, most significant first.
     pub bit_planes: &'static str,
-    /// Bits of a mirror's brightness.
+    /// Bit depth of the brightness.
     pub bits: u8,
-    /// Where its fringes or stripes come from.
+    /// Content: fringes or stripes.
     #[serde(flatten)]
     pub shows: Content,
 }
@@ -103,7 +103,7 @@ pub enum Content {
     },
     /// A bit of a Gray code.
     Code {
-        /// Which, 0 the most significant.
+        /// Index of the bit, 0 is the most significant.
         code_bit: u32,
         /// Whether dark and bright are exchanged.
         complement: bool,
@@ -129,38 +129,38 @@ impl Content {
 /// One picture.
 #[derive(Clone, Debug, Serialize)]
 pub struct Picture {
-    /// Its file.
+    /// File name.
     pub file: String,
-    /// BLAKE3 of it.
+    /// BLAKE3 of the file.
     pub blake3: String,
 }
 
-/// Why pictures are not there.
+/// Why pictures could not be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PatternsError {
-    /// They cannot be written.
+    /// A file cannot be written.
     #[error("{}: {source}", path.display())]
     Write {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
         /// Cause.
         source: std::io::Error,
     },
-    /// A picture could not be made into a file's content.
+    /// A picture could not be encoded.
     #[error("a picture of {columns} x {rows} mirrors cannot be encoded: {reason}")]
     Encode {
-        /// Mirrors of a row.
+        /// Mirrors per row.
         columns: u32,
         /// Rows.
         rows: u32,
-        /// Why.
+        /// Reason.
         reason: String,
     },
 }
 
 impl Manifest {
-    /// Its file.
+    /// File name.
     pub const FILE: &'static str = "patterns.json";
 }
 
@@ -177,7 +177,7 @@ pub fn brightness(set: &PatternSet, picture: Shown, mirrors: Mirrors) -> Vec<u8>
             .flat_map(|row| std::iter::repeat_n(shown(f64::from(row), mirrors.rows), columns))
             .collect();
     }
-    // Fringes stand upright: only where a row begins makes a difference.
+    // Fringes are vertical: rows differ only by where they begin.
     let rows = [0, 1].map(|row| {
         (0..mirrors.columns)
             .map(|column| shown(mirrors.column_px(column, row), mirrors.columns))
@@ -189,7 +189,7 @@ pub fn brightness(set: &PatternSet, picture: Shown, mirrors: Mirrors) -> Vec<u8>
         .collect()
 }
 
-/// Writes the pictures of a set and `patterns.json` into a folder, which is made.
+/// Writes the pictures of a set and `patterns.json` into a folder, which is created.
 ///
 /// # Errors
 /// [`PatternsError`].
@@ -202,7 +202,7 @@ pub fn write(
     write_lit(folder, set, mirrors, packing, |_| ())
 }
 
-/// The same, each pattern changed by what lights only some of the mirrors.
+/// Like `write`, with `light` applied to the brightness of each pattern's mirrors, to light only some of them.
 fn write_lit(
     folder: &Path,
     set: &PatternSet,
@@ -305,7 +305,7 @@ fn grey_png(shown: &[u8], mirrors: Mirrors) -> Result<Vec<u8>, PatternsError> {
     Ok(content)
 }
 
-/// A 24 bit Windows bitmap, last row first; planes that are missing are dark.
+/// A 24 bit Windows bitmap, last row first; missing planes are dark.
 fn bmp(planes: &[Vec<u8>], mirrors: Mirrors) -> Vec<u8> {
     const HEADERS: u32 = 14 + 40;
     let (columns, rows) = (mirrors.columns as usize, mirrors.rows as usize);
@@ -360,7 +360,7 @@ mod tests {
         rows: 768,
     };
 
-    /// The fringes by the formula of METROLOGY and of the bench, at a place in columns.
+    /// Brightness of a fringe pattern at a column, by the formula of METROLOGY and of the bench.
     fn fringe(periods: f64, step: u32, steps: u32, at_px: f64, columns: u32) -> u8 {
         let phase = TAU * periods * (at_px + 0.5) / f64::from(columns)
             + TAU * f64::from(step) / f64::from(steps);
@@ -420,7 +420,7 @@ mod tests {
         }
     }
 
-    /// A picture read back by the format's own definition, channel by channel.
+    /// Reads pictures back by the definition of the format, channel by channel, and compares them with the manifest.
     #[test]
     fn pictures_and_manifest_tell_the_same() {
         let folder = tempfile::tempdir().unwrap();
@@ -454,7 +454,7 @@ mod tests {
             .map(|p| p.pattern_in_image)
             .collect();
         assert_eq!(order, [0, 1, 2, 0, 1, 2, 0, 1]);
-        // Of a DLPC900 image n is pattern n, grey in every channel, and image 0 is black.
+        // For a DLPC900, image n is pattern n, grey in every channel, and image 0 is black.
         let stored = write(folder.path(), &set, XGA, Packing::Dlpc900).unwrap();
         assert_eq!((stored.files.len(), stored.black), (9, "image 0"));
         for number in 0..9_u16 {

@@ -1,15 +1,16 @@
-//! Light only what is measured: which mirrors light which flank, by drawing and pose.
+//! Adaptive illumination: which mirrors light which flank, computed from drawing and pose.
 //!
-//! Flanks face each other across a gap, and on bare steel each lights the other. Every mirror sends its light along one ray; where
-//! that first meets the drawing says which pass shows it: left flanks, right flanks, or the rest (lands and faces, on which a view is
-//! laid). In each pass the other mirrors stay dark, and what a flank then sends on meets a wall that is not measured.
+//! Flanks face each other across a gap, and on bare steel each reflects light onto the other. The light of every mirror is traced
+//! along one ray; the surface that it first meets on the drawing assigns it to a pass: left flanks, right flanks, or the rest
+//! (lands and faces, which are used for registration). In each pass the other mirrors stay dark, so the light that a flank
+//! reflects falls on a wall that is not measured in this pass.
 //!
-//! Lands face the lens and flanks do not: on a matt surface the rest would be several times as bright, and on steel its highlights
-//! saturate first. The pass of the rest is dimmed as a whole until the drawing says that both are alike; a pass has one brightness,
-//! because one that changed across it would shift the phase.
+//! Lands face the lens and flanks do not: on a matt surface the rest would be several times as bright, and on steel its
+//! highlights saturate first. The pass of the rest is therefore dimmed as a whole until both are equally bright by the drawing. A
+//! pass has one brightness, because a brightness that varied across it would shift the phase.
 //!
-//! The pose is known to `margin_mm` before the first frame: every pass reaches as far beyond its own flanks. Rays are cast for
-//! blocks of mirrors, which are smaller than that.
+//! The pose is known to `margin_mm` before the first frame, so every pass extends that far beyond its own flanks. Rays are cast
+//! for blocks of mirrors, which are smaller than the margin.
 
 use flankscope_foundation::order::median;
 use flankscope_foundation::rigid::{Camera, Projector, RigidError};
@@ -27,15 +28,15 @@ const BLOCK: u32 = 4;
 /// Rays end this far beyond the far end of the measuring volume.
 const BEYOND_RATIO: f64 = 2.0;
 
-/// Where the light of a block of mirrors first meets the drawing.
+/// Where the ray of a block of mirrors first meets the drawing.
 #[derive(Clone, Copy, Debug)]
 struct Met {
     region: Region,
-    /// On a matt surface: cosine by square of the distance.
+    /// Relative irradiance of a matt surface: cosine divided by the square of the distance.
     brightness: f64,
 }
 
-/// What a pass lights.
+/// Surfaces that a pass lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Region {
@@ -48,7 +49,7 @@ pub enum Region {
 }
 
 impl Region {
-    /// In the order in which they are shown.
+    /// All passes, in the order in which they are shown.
     pub const ALL: [Self; 3] = [Self::Left, Self::Right, Self::Rest];
 
     /// Name of its folder.
@@ -68,41 +69,41 @@ pub struct Passes {
     mirrors: Mirrors,
     view: PlannedView,
     margin_mm: f64,
-    /// Blocks in a row.
+    /// Number of blocks in a row.
     columns: usize,
     /// For each pass, whether a block is lit, row by row.
     lit: [Vec<bool>; 3],
-    /// For each pass, how bright its lit mirrors are.
+    /// For each pass, relative brightness of its lit mirrors.
     brightness_ratios: [f64; 3],
 }
 
-/// Why drawing, head and view say nothing about mirrors.
+/// Why the passes cannot be computed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PassesError {
-    /// The tool or the head lack something.
+    /// The tool or head file lacks an entry.
     #[error("{what} is missing; adaptive patterns need it (see docs/formats)")]
     Missing {
-        /// What.
+        /// The missing entry.
         what: &'static str,
     },
-    /// The hand-eye is no rigid motion.
+    /// The hand-eye transform is not a rigid motion.
     #[error(transparent)]
     Pose(#[from] RigidError),
-    /// Not a length.
+    /// The margin is out of range.
     #[error(
         "a margin of {got} mm: must be 0 to 2 mm, what the pose may be off before the first frame"
     )]
     Margin {
-        /// What was asked for.
+        /// Requested margin, mm.
         got: f64,
     },
-    /// The projector looks past both flanks.
+    /// No mirror of the projector lights either flank.
     #[error(
         "no mirror lights a flank of tooth {tooth}: check height, hand-eye and projector_from_camera"
     )]
     NothingLit {
-        /// In the middle of the view.
+        /// Tooth in the middle of the view.
         tooth: u32,
     },
 }
@@ -174,7 +175,7 @@ impl Passes {
             (Some(flanks), Some(rest)) if flanks > 0.0 && rest > flanks => flanks / rest,
             _ => 1.0,
         };
-        // As many blocks as the margin takes where the surface is nearest.
+        // The margin in blocks, at the nearest distance of the surface.
         let focal_px = head.projector.focal_px;
         let margin = focal_px
             .map(|px| (margin_mm * px / (volume.near_mm * f64::from(BLOCK))).ceil() as usize);
@@ -196,19 +197,19 @@ impl Passes {
         })
     }
 
-    /// How the mirrors lie.
+    /// Layout of the mirrors.
     #[must_use]
     pub fn mirrors(&self) -> Mirrors {
         self.mirrors
     }
 
-    /// Where the stages stand.
+    /// Position of the stages.
     #[must_use]
     pub fn view(&self) -> &PlannedView {
         &self.view
     }
 
-    /// How far a pass reaches beyond what it lights, mm.
+    /// Distance by which a pass extends beyond its own flanks, mm.
     #[must_use]
     pub fn margin_mm(&self) -> f64 {
         self.margin_mm
@@ -221,13 +222,13 @@ impl Passes {
         self.lit[pass as usize].get(block).is_some_and(|lit| *lit)
     }
 
-    /// How bright the mirrors that a pass lights are.
+    /// Relative brightness of the mirrors that a pass lights.
     #[must_use]
     pub fn brightness_ratio(&self, pass: Region) -> f64 {
         self.brightness_ratios[pass as usize]
     }
 
-    /// Dims the mirrors of a pass, and darkens those that it does not light.
+    /// Dims the mirrors that a pass lights, and darkens the others.
     pub fn mask(&self, pass: Region, shown: &mut [u8]) {
         let ratio = self.brightness_ratio(pass);
         let mirrors = (0..self.mirrors.rows)
@@ -240,7 +241,7 @@ impl Passes {
         }
     }
 
-    /// Mirrors that a pass lights here and not in `other`, which is of the same head.
+    /// Number of mirrors that a pass lights here but not in `other`, which must be of the same head.
     #[must_use]
     pub fn beyond(&self, other: &Self, pass: Region) -> usize {
         let blocks = self.lit[pass as usize]
@@ -250,7 +251,7 @@ impl Passes {
         beyond * (BLOCK * BLOCK) as usize
     }
 
-    /// Share of the mirrors that a pass lights.
+    /// Fraction of the mirrors that a pass lights.
     #[must_use]
     pub fn lit_ratio(&self, pass: Region) -> f64 {
         let lit = &self.lit[pass as usize];
@@ -258,7 +259,7 @@ impl Passes {
     }
 }
 
-/// Every block within `margin` columns and rows of one that is set.
+/// Dilates a set of blocks by `margin` columns and rows.
 fn widened(set: &[bool], columns: usize, [across, down]: [usize; 2]) -> Vec<bool> {
     let rows = set.len() / columns;
     let near =

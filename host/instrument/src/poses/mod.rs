@@ -1,11 +1,13 @@
-//! Poses from outside: where the camera stood at each view, said by somebody who is not the station's stages.
+//! Poses of the camera at each view from an external source instead of the station's stages, such as a robot arm.
 //!
 //! | source | what it is |
 //! |---|---|
-//! | [`PoseTable`] | `poses.csv`: known before |
-//! | [`PoseProgram`] | a program that is asked for one view after the other, moves what it moves, and answers where the camera stands |
+//! | [`PoseTable`] | `poses.csv`: poses known in advance |
+//! | [`PoseProgram`] | a program that is asked for one view after the other, moves the arm or whatever carries the head, and
+//! answers with the pose of the camera |
 //!
-//! A pose without a stated uncertainty, or whose time is over, is none: its view is not measured, and nothing without a view is go.
+//! A pose without a stated uncertainty, or one that arrives too late, is rejected: its view is not measured, and a check with an
+//! unmeasured view is never "go".
 
 mod program;
 mod table;
@@ -22,14 +24,14 @@ use serde::{Deserialize, Serialize};
 pub use program::PoseProgram;
 pub use table::PoseTable;
 
-/// Largest standard uncertainty of a pose that is of any use, mm and mrad: half a tooth's width, and a degree.
+/// Largest standard uncertainty of a usable pose, mm and mrad: half a tooth's width, and a degree.
 const U_LIMIT: [f64; 2] = [1.0, 20.0];
-/// Farthest from where it was asked for, mm: what is searched for the surface reaches 2 mm beyond the field.
+/// Largest distance from the requested pose, mm: the search for the surface reaches 2 mm beyond the field.
 const ELSEWHERE_MM: f64 = 1.0;
-/// The same, mrad: 1 mm at the edge of a field of 10 mm.
+/// Largest angle from the requested pose, mrad: 1 mm at the edge of a field of 10 mm.
 const ELSEWHERE_MRAD: f64 = 100.0;
 
-/// The poses of a check that were stated so far, by view from 0; whoever evaluates a view asks here.
+/// The poses stated so far in a check, by view from 0; the evaluation of a view reads its pose here.
 #[derive(Clone, Debug, Default)]
 pub struct StatedPoses(Arc<Mutex<BTreeMap<usize, StatedPose>>>);
 
@@ -38,12 +40,12 @@ impl StatedPoses {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The pose of a view, from here on.
+    /// Sets the pose of a view.
     pub fn insert(&self, view: usize, pose: StatedPose) {
         self.lock().insert(view, pose);
     }
 
-    /// What was said before of a view counts no more.
+    /// Discards an earlier pose of a view.
     pub fn remove(&self, view: usize) {
         self.lock().remove(&view);
     }
@@ -83,46 +85,46 @@ pub enum PoseError {
     Start {
         /// The program.
         program: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It ended, or closed its output.
+    /// The program ended, or closed its output.
     #[error("the pose program ended before it answered for view {view}")]
     Ended {
         /// View, from 1.
         view: usize,
     },
-    /// No answer in time.
+    /// The program did not answer in time.
     #[error("the pose program did not answer for view {view} within {limit_s} s")]
     Late {
         /// View, from 1.
         view: usize,
-        /// Patience, s.
+        /// Longest wait, s.
         limit_s: f64,
     },
-    /// Somebody wants to end.
+    /// The operator interrupted the run.
     #[error("interrupted while the pose program was asked for view {view}")]
     Interrupted {
         /// View, from 1.
         view: usize,
     },
-    /// No answer of this protocol.
+    /// The answer does not follow the protocol.
     #[error("the pose program answered for view {view} what is no answer: {why}")]
     Unreadable {
         /// View, from 1.
         view: usize,
-        /// What is wrong.
+        /// Reason.
         why: String,
     },
-    /// It says that it cannot.
+    /// The program answered that it has no pose.
     #[error("the pose program refuses view {view}: {why}")]
     Refused {
         /// View, from 1.
         view: usize,
-        /// Its words.
+        /// Reason given by the program.
         why: String,
     },
-    /// An answer to another question.
+    /// The answer is for another view.
     #[error("the pose program answered for view {got} when it was asked for view {view}")]
     OtherView {
         /// View asked for, from 1.
@@ -130,15 +132,15 @@ pub enum PoseError {
         /// View answered.
         got: usize,
     },
-    /// Not a pose.
+    /// The matrix is not a pose.
     #[error("the pose of view {view} is none: {source}")]
     NoPose {
         /// View, from 1.
         view: usize,
-        /// Why not.
+        /// Reason.
         source: RigidError,
     },
-    /// No uncertainty that could be reckoned with.
+    /// The stated uncertainty is not positive, or too large.
     #[error("the pose of view {view} has {key} = {got}; right is more than 0 and at most {limit}")]
     Uncertainty {
         /// View, from 1.
@@ -147,10 +149,10 @@ pub enum PoseError {
         key: &'static str,
         /// Its value.
         got: f64,
-        /// Largest of use.
+        /// Largest usable value.
         limit: f64,
     },
-    /// Not where the view is.
+    /// The pose is too far from the requested one.
     #[error(
         "the pose of view {view} is {off_mm:.3} mm and {off_mrad:.1} mrad from where it was asked for; at most {ELSEWHERE_MM} mm and {ELSEWHERE_MRAD} mrad"
     )]
@@ -162,7 +164,7 @@ pub enum PoseError {
         /// Angle, mrad.
         off_mrad: f64,
     },
-    /// A table, and an arm that would have to go from view to view meanwhile.
+    /// A pose table with an arm that has to move from view to view: the table cannot say when the arm has arrived.
     #[error(
         "{}: with stages.moves = \"outside\" a table says nothing of when the arm has come to the next of {views} views; give [stages.poses] a command, or check one view at a time", path.display()
     )]
@@ -172,7 +174,7 @@ pub enum PoseError {
         /// Views of the check.
         views: usize,
     },
-    /// The table lacks a tooth.
+    /// The table has no line for a tooth.
     #[error("{} has no pose of tooth {tooth}", path.display())]
     NotListed {
         /// The table.
@@ -185,24 +187,24 @@ pub enum PoseError {
     Table {
         /// The table.
         path: PathBuf,
-        /// Line and what is wrong.
+        /// Line, and what is wrong.
         why: String,
     },
 }
 
-/// A view that a pose is wanted for.
+/// A view whose pose is requested.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     /// View, from 1.
     pub view: usize,
     /// Tooth in its middle.
     pub tooth: u32,
-    /// Where the camera should stand.
+    /// Requested pose of the camera.
     pub tool_from_camera: Rigid<Tool, Camera>,
 }
 
 impl Wanted {
-    /// The pose, if it is one and belongs to this view.
+    /// The stated pose, if it is valid and belongs to this view.
     fn checked(&self, stated: StatedPose) -> Result<StatedPose, PoseError> {
         let view = self.view;
         for (key, got, limit) in [
@@ -233,13 +235,13 @@ impl Wanted {
     }
 }
 
-/// Who says where the camera stands, as a station's file has it.
+/// Source of camera poses, section of the station file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PoseSettings {
-    /// `poses.csv`. A path that is not absolute is beside the station's file.
+    /// Path of `poses.csv`; a relative path starts at the folder of the station file.
     pub file: Option<PathBuf>,
-    /// Program and arguments.
+    /// Program and its arguments.
     pub command: Vec<String>,
     /// Longest time for an answer, s.
     pub limit_s: f64,
@@ -256,16 +258,16 @@ impl Default for PoseSettings {
 }
 
 impl PoseSettings {
-    /// Whether somebody else than the stages says where the camera stands.
+    /// Whether the poses come from a source other than the stages.
     #[must_use]
     pub fn is_some(&self) -> bool {
         self.file.is_some() || !self.command.is_empty()
     }
 
-    /// Reads the table or starts the program, if there is one.
+    /// Reads the table or starts the program, if one is configured.
     ///
     /// # Errors
-    /// It cannot be read or started.
+    /// The table cannot be read, or the program not started.
     pub fn open(&self) -> Result<Option<PoseSource>, PoseError> {
         if let Some(path) = &self.file {
             return Ok(Some(PoseSource::Table(PoseTable::load(path)?)));
@@ -279,7 +281,7 @@ impl PoseSettings {
     }
 }
 
-/// Who says where the camera stands.
+/// An open source of camera poses.
 #[derive(Debug)]
 pub enum PoseSource {
     /// A file.

@@ -1,4 +1,4 @@
-//! Poses that a program is asked for: one line of JSON each way, and a time limit.
+//! Poses from a program: one request and one answer per view, each a line of JSON, with a time limit.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -12,12 +12,12 @@ use super::{PoseError, Wanted};
 use crate::controller::Interrupt;
 use flankscope_metrology::view::StatedPose;
 
-/// Longest line of an answer.
+/// Longest line of an answer, bytes.
 const LINE_BYTES: u64 = 16 * 1024;
-/// Between two looks at whether somebody wants to end.
+/// Interval at which an interruption by the operator is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What a program is asked, one line of JSON.
+/// Request to the program, one line of JSON.
 #[derive(Serialize)]
 struct Request {
     view: usize,
@@ -27,7 +27,7 @@ struct Request {
     limit_s: f64,
 }
 
-/// What it answers, one line of JSON: a pose, or why there is none.
+/// Answer of the program, one line of JSON: a pose, or why there is none.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Answer {
@@ -38,7 +38,7 @@ struct Answer {
     error: Option<String>,
 }
 
-/// A running program that says where the camera stands.
+/// A running program that states camera poses.
 #[derive(Debug)]
 pub struct PoseProgram {
     child: Child,
@@ -48,7 +48,7 @@ pub struct PoseProgram {
 }
 
 impl PoseProgram {
-    /// Starts it; it is asked later.
+    /// Starts the program; views are requested later.
     ///
     /// # Errors
     /// [`PoseError::Start`].
@@ -73,7 +73,7 @@ impl PoseProgram {
             let Some(stdout) = stdout else { return };
             let mut reader = BufReader::new(stdout);
             let mut line = String::new();
-            // A line that never ends is cut, and is then no answer.
+            // A line longer than the limit is cut and then rejected as an answer.
             while matches!(
                 reader.by_ref().take(LINE_BYTES).read_line(&mut line),
                 Ok(1..)
@@ -91,15 +91,15 @@ impl PoseProgram {
             lines,
             limit,
         };
-        // Without its reader the program is ended by the drop.
+        // If the reader thread cannot be started, dropping the value ends the program.
         reading.map_err(failed)?;
         Ok(program)
     }
 
-    /// Asks for one view, and waits for its pose at most as long as it may take; the controller is heard meanwhile.
+    /// Requests one view and waits for its pose up to the time limit; meanwhile events of the controller are handled.
     ///
     /// # Errors
-    /// There is none, or none to be trusted.
+    /// There is no pose, or none that can be used.
     pub async fn reach(
         &mut self,
         wanted: &Wanted,
@@ -160,7 +160,7 @@ fn understood(wanted: &Wanted, line: &str) -> Result<StatedPose, PoseError> {
 }
 
 impl Drop for PoseProgram {
-    /// It is told by the end of its input, and does not outlive the check.
+    /// Closes the program's input, which asks it to end, and kills it if it still runs after 500 ms.
     fn drop(&mut self) {
         drop(self.stdin.take());
         let end = Instant::now() + Duration::from_millis(500);
@@ -204,7 +204,7 @@ mod tests {
         assert_eq!((stated.u_mm, stated.u_mrad), (0.02, 0.1));
     }
 
-    /// Every way to be no answer, by name; none is a pose.
+    /// Every kind of invalid answer is refused by name.
     #[test]
     fn what_is_late_foreign_or_no_pose_is_refused_by_name() {
         let answer = |view: &str, rows: &str, u_mm: &str| {
@@ -268,7 +268,7 @@ mod tests {
         assert!(nobody.to_string().contains("/nowhere/robot"), "{nobody}");
     }
 
-    /// What was late for one view is no pose of the next.
+    /// A late answer for one view is not taken as the pose of the next.
     #[test]
     fn a_late_answer_is_none_to_a_later_question() {
         let command = [

@@ -1,4 +1,4 @@
-//! Poses that were known before: a line for each tooth.
+//! Poses known in advance: a table with a line for each tooth.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use super::{PoseError, Wanted};
 use flankscope_metrology::kinematics::Moves;
 use flankscope_metrology::view::StatedPose;
 
-/// How far a quaternion's length may be from 1: what printing rounds.
+/// Largest deviation of a quaternion's length from 1, as printing with few digits causes it.
 const UNIT: f64 = 1e-3;
 /// First line of `poses.csv`: camera in the tool frame, mm, a unit quaternion, standard uncertainties.
 const COLUMNS: &str = "tooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad";
@@ -26,7 +26,7 @@ impl PoseTable {
     /// Reads a table.
     ///
     /// # Errors
-    /// It cannot be read, or a line is no pose: file, line and what is wrong.
+    /// The table cannot be read, or a line is not a pose: file, line and what is wrong.
     pub fn load(path: &Path) -> Result<Self, PoseError> {
         let bad = |why: String| PoseError::Table {
             path: path.to_owned(),
@@ -53,7 +53,8 @@ impl PoseTable {
         })
     }
 
-    /// Whether a check of so many views can go by it: it cannot say when an arm has come from one to the next, and teeth look alike.
+    /// Whether a check of this many views can use the table. It cannot say when an arm has moved from one view to the next, and
+    /// teeth look alike.
     ///
     /// # Errors
     /// [`PoseError::NobodyMoves`].
@@ -68,7 +69,7 @@ impl PoseTable {
     /// The pose of a view.
     ///
     /// # Errors
-    /// There is none, or none to be trusted.
+    /// There is no pose, or none that can be used.
     pub fn reach(&self, wanted: &Wanted) -> Result<StatedPose, PoseError> {
         let stated = self.poses.get(&wanted.tooth);
         let stated = stated.cloned().ok_or_else(|| PoseError::NotListed {

@@ -1,4 +1,4 @@
-//! The axes of the stages, as a station's file has them and as the controller is told.
+//! The axes of the stages, as in the station file and as sent to the controller.
 
 use flankscope_foundation::textfile::BadValue;
 use flankscope_protocol::{
@@ -8,7 +8,7 @@ use flankscope_protocol::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The line between controller and stage controller.
+/// The serial line between controller and stage controller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StageLine {
@@ -20,7 +20,7 @@ pub struct StageLine {
     pub parity: ParityBit,
     /// Stop bits of a character.
     pub stop_bits: u8,
-    /// Who may stop whom.
+    /// Flow control.
     pub flow_control: Flow,
 }
 
@@ -34,7 +34,7 @@ pub enum ParityBit {
     Odd,
 }
 
-/// Who may stop whom on the line.
+/// Flow control of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "the names say it")]
@@ -43,7 +43,7 @@ pub enum Flow {
     RtsCts,
 }
 
-/// What an axis looks for when it is referenced.
+/// Signal that referencing searches for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "the names say it")]
@@ -54,49 +54,49 @@ pub enum Home {
     LowerLimit,
 }
 
-/// The axis that turns die or head. A file that has one has all of it.
+/// The axis that turns die or head. If the file has this section, it must have all keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rotation {
     /// Its number at the stage controller.
     pub axis: u8,
-    /// The model that the stage must answer as; none: nobody asks.
+    /// Model that the stage must report; `None`: not checked.
     #[serde(default)]
     pub model: Option<String>,
-    /// Speed of a move.
+    /// Speed of a move, deg/s.
     pub speed_deg_s: f64,
-    /// Acceleration and deceleration.
+    /// Acceleration and deceleration, deg/s².
     pub acceleration_deg_s2: f64,
-    /// Both ends of the travel.
+    /// Both ends of the travel, deg.
     pub travel_deg: [f64; 2],
-    /// What the place found by homing counts as.
+    /// Angle assigned to the reference position, deg.
     pub home_deg: f64,
-    /// Speed of the search.
+    /// Speed of the search, deg/s.
     pub home_speed_deg_s: f64,
-    /// What is searched for.
+    /// Signal that the search looks for.
     pub home_at: Home,
 }
 
-/// The axis that raises the head. A file that has one has all of it.
+/// The axis that raises the head. If the file has this section, it must have all keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vertical {
     /// Its number at the stage controller.
     pub axis: u8,
-    /// The model that the stage must answer as; none: nobody asks.
+    /// Model that the stage must report; `None`: not checked.
     #[serde(default)]
     pub model: Option<String>,
-    /// Speed of a move.
+    /// Speed of a move, mm/s.
     pub speed_mm_s: f64,
-    /// Acceleration and deceleration.
+    /// Acceleration and deceleration, mm/s².
     pub acceleration_mm_s2: f64,
-    /// Both ends of the travel.
+    /// Both ends of the travel, mm.
     pub travel_mm: [f64; 2],
-    /// What the place found by homing counts as: the head is clear of the die there.
+    /// Position assigned to the reference, mm: the head is clear of the die there.
     pub home_mm: f64,
-    /// Speed of the search.
+    /// Speed of the search, mm/s.
     pub home_speed_mm_s: f64,
-    /// What is searched for.
+    /// Signal that the search looks for.
     pub home_at: Home,
 }
 
@@ -174,7 +174,7 @@ impl Home {
     }
 }
 
-/// Thousandths of a speed or an acceleration. Beyond the type it is the type's end, which is beyond every limit.
+/// Thousandths of a speed or an acceleration; saturates at the limits of the type, which are beyond every limit of the controller.
 fn thousandths(value: f64) -> u32 {
     (value * 1e3).round() as u32
 }
@@ -187,12 +187,12 @@ fn micrometres(place_mm: f64) -> Micrometres {
     Micrometres((place_mm * 1e3).round() as i32)
 }
 
-/// As the controller is told; [`check`] has seen that nothing of it is lost.
+/// The model as sent to the controller; [`check`] has verified that nothing of it is lost.
 fn model(of: &Option<String>) -> Option<StageName> {
     StageName::of(of.as_ref()?.as_bytes())
 }
 
-/// What the controller is told.
+/// The stage configuration that is sent to the controller.
 pub(super) fn config(line: &StageLine, turn: &Rotation, lift: &Vertical) -> StageConfig {
     StageConfig {
         line: line.config(),
@@ -221,7 +221,7 @@ pub(super) fn config(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Stag
     }
 }
 
-/// Refuses what the controller would refuse, in the words of the file.
+/// Checks all limits of the controller, with errors that name the keys of the file.
 pub(super) fn check(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Result<(), BadValue> {
     let said = |what| said(what, line, turn, lift);
     for what in [
@@ -306,17 +306,17 @@ pub(super) fn check(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Resul
     })
 }
 
-/// A value as it stands in the file.
+/// A value with its key, as in the file.
 struct Said {
     key: &'static str,
     value: f64,
     unit: &'static str,
-    /// Wire units in one unit of the file.
+    /// Wire units per unit of the file.
     scale: f64,
 }
 
 impl Said {
-    /// A wire value in the file's unit, to a thousandth.
+    /// A wire value in the file's unit, rounded to a thousandth.
     fn back(&self, wire: i64) -> f64 {
         (wire as f64 / self.scale * 1e3).round() / 1e3
     }

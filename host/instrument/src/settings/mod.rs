@@ -1,15 +1,15 @@
-//! What of an instrument is no law of nature: `station.toml`, and the values that hold without one.
+//! Instrument settings that depend on the installation: ports, stages, press, light, camera. Read from `station.toml`; each has a default.
 //!
 //! | section | says |
 //! |---|---|
-//! | `controller` | port and patience |
-//! | `camera` | the process that brings its frames |
-//! | `press` | how long it may be held, and how often it is asked again |
+//! | `controller` | port and timeouts |
+//! | `camera` | the process that delivers the frames |
+//! | `press` | how long it may be held, and how many openings a repeated view may use |
 //! | `light` | current of the LED |
 //! | `timing` | settling of stages and pattern projector, readout of the camera |
-//! | `stages` | what they promise of an approach, what is left of their mounting, how far the head clears the die; their line, axes, travel, dynamics and homing |
+//! | `stages` | position errors, uncertainty of the mounting, clearance of the retracted head; line, axes, travel, dynamics and homing |
 //! | `history` | where checks are stored |
-//! | `report` | where they are written for people |
+//! | `report` | where reports for people are written |
 
 mod axes;
 
@@ -28,11 +28,11 @@ use crate::controller::ClientSettings;
 use crate::poses::PoseSettings;
 use flankscope_metrology::kinematics::Moves;
 
-/// A station's file; without one, [`StationSettings::default`].
+/// Contents of a station file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StationSettings {
-    /// Name in every result.
+    /// Name of the station, written into every result.
     #[serde(deserialize_with = "flankscope_foundation::display::some_name")]
     pub name: Option<String>,
     /// The controller.
@@ -43,13 +43,13 @@ pub struct StationSettings {
     pub press: Press,
     /// The light.
     pub light: Light,
-    /// Waits of a capture.
+    /// Settling and readout times of a capture.
     pub timing: Timing,
     /// The stages.
     pub stages: Stages,
     /// Where checks are stored.
     pub history: Store,
-    /// Where they are written for people.
+    /// Where reports are written.
     pub report: Output,
 }
 
@@ -57,11 +57,11 @@ pub struct StationSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Controller {
-    /// Its port, or `sim` or `qemu`, as `--link` has it.
+    /// Serial port, or `sim` or `qemu`, as for `--link`.
     pub link: Option<String>,
-    /// Wait for an answer before the same order is sent again, ms.
+    /// Wait for a reply before the same command is sent again, ms.
     pub answer_ms: u64,
-    /// Longest time by which triggers and frames may be late, ms.
+    /// Largest delay of triggers and frames, ms.
     pub stall_ms: u64,
 }
 
@@ -69,7 +69,7 @@ pub struct Controller {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Camera {
-    /// Program and arguments; the folder of the shared memory comes last. Empty: somebody else starts it.
+    /// Program and arguments; the folder of the shared memory is appended. Empty: the process is started by other means.
     pub command: Vec<String>,
 }
 
@@ -77,11 +77,11 @@ pub struct Camera {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Press {
-    /// A watch never holds it longer than this, s.
+    /// Longest time that a watch holds the press, s.
     pub hold_limit_s: f64,
-    /// Longest wait for the next opening, s: beyond it the press stands still.
+    /// Longest wait for the next opening, s: after this the press counts as stopped.
     pub opening_patience_s: f64,
-    /// Openings that are tried for a repeated view: each may be over before the order arrives.
+    /// Number of openings that may be used for a repeated view: an opening may be over before the command arrives.
     pub openings: u32,
 }
 
@@ -93,41 +93,41 @@ pub struct Light {
     pub led_ma: u16,
 }
 
-/// Waits of a capture.
+/// Settling and readout times of a capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Timing {
-    /// From in position to light, ms.
+    /// From reaching the position to switching the light on, ms.
     pub settle_ms: u32,
-    /// From a shown pattern to the camera's trigger, µs.
+    /// From showing a pattern to the camera's trigger, µs.
     pub pattern_settle_us: u32,
     /// Readout of a frame, µs.
     pub camera_readout_us: u32,
 }
 
-/// The stages, as their data sheets have them. Errors are limits, evenly distributed within.
+/// The stages, by their data sheets. Errors are limits of a rectangular distribution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stages {
-    /// What the rotary axis turns.
+    /// What the rotary axis turns: die or head.
     pub moves: Moves,
-    /// Who says where the camera stands, if not they.
+    /// Source of camera poses, if not the stages.
     pub poses: PoseSettings,
     /// Largest error of the rotary stage, millidegrees.
     pub rotation_error_mdeg: f64,
     /// Largest error of the vertical stage, µm.
     pub vertical_error_um: f64,
-    /// Standard uncertainty of where the head is mounted, each way, µm.
+    /// Standard uncertainty of the head's mounting position, along each axis, µm.
     pub mount_um: f64,
-    /// The same of its tilt, about each axis, mrad.
+    /// Standard uncertainty of the head's tilt, about each axis, mrad.
     pub mount_mrad: f64,
     /// Run-out of the rotary stage, standard deviation in any direction, µm.
     pub runout_um: f64,
-    /// Its wobble, standard deviation about any axis, µrad.
+    /// Wobble of the rotary stage, standard deviation about any axis, µrad.
     pub wobble_urad: f64,
-    /// The retracted head stands this far above the die's upper face, mm.
+    /// Height of the retracted head above the die's upper face, mm.
     pub clearance_mm: f64,
-    /// The line to their controller.
+    /// The serial line to the stage controller.
     pub line: StageLine,
     /// The axis that turns die or head.
     pub rotation: Rotation,
@@ -139,19 +139,19 @@ pub struct Stages {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Store {
-    /// The history; `--history` names another one. A path that is not absolute is beside the station's file.
+    /// Path of the history; `--history` overrides it. A relative path starts at the folder of the station file.
     pub file: Option<PathBuf>,
-    /// A go gives its phasors up after so many later checks.
+    /// Number of later checks after which the phasors of a "go" are deleted.
     pub keep_phasors: u32,
-    /// Phasors take at most so much room, GB; those of no-gos alone may take more.
+    /// Largest total size of stored phasors, GB; those of "no-go" checks are kept even above it.
     pub keep_phasors_gb: f64,
 }
 
-/// Where results are written for people.
+/// Where reports for people are written.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
-    /// The folder; `--report` names another one. A path that is not absolute is beside the station's file.
+    /// The folder; `--report` overrides it. A relative path starts at the folder of the station file.
     pub folder: Option<PathBuf>,
 }
 
@@ -167,7 +167,7 @@ impl Default for Controller {
 }
 
 impl Default for Press {
-    /// A press that does not open for 5 s stands still, or strokes fewer than 12 times a minute.
+    /// A press that does not open for 5 s has stopped, or makes fewer than 12 strokes per minute.
     fn default() -> Self {
         Self {
             hold_limit_s: 12.0,
@@ -184,8 +184,8 @@ impl Default for Light {
 }
 
 impl Default for Timing {
-    /// After 100 ms the ringing of die and head at 20 Hz and more has died down (10 periods of 100 Hz); mirrors settle within
-    /// tens of µs; a frame of 1920 x 1200 pixels at 16 bit takes 12.5 ms over USB 3, and 4 % for the link's other traffic.
+    /// After 100 ms the ringing of die and head at 20 Hz and more has decayed (10 periods of 100 Hz). Mirrors settle within tens
+    /// of µs. Readout: a frame of 1920 x 1200 pixels at 16 bit takes 12.5 ms over USB 3, plus 4 % for other traffic on the link.
     fn default() -> Self {
         Self {
             settle_ms: 100,
@@ -196,7 +196,7 @@ impl Default for Timing {
 }
 
 impl Default for Stages {
-    /// ±15 mdeg and ±5 µm (data sheets); a mounting by its calibration, an estimate; run-out and wobble of an air or
+    /// ±15 mdeg and ±5 µm by data sheets; the mounting is an estimate of its calibration; run-out and wobble of an air or
     /// cross-roller bearing.
     fn default() -> Self {
         Self {
@@ -226,35 +226,35 @@ impl Default for Store {
     }
 }
 
-/// Half the width of an even distribution over its standard deviation.
+/// Ratio of half-width to standard deviation of a rectangular distribution.
 const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 impl Stages {
-    /// What the controller is told of them.
+    /// The stage configuration that is sent to the controller.
     #[must_use]
     pub fn config(&self) -> StageConfig {
         axes::config(&self.line, &self.rotation, &self.vertical)
     }
 
-    /// Standard uncertainty of the rotary stage's angle after an approach, rad.
+    /// Standard uncertainty of the rotary stage's angle after a move, rad.
     #[must_use]
     pub fn rotation_sigma_rad(&self) -> f64 {
         self.rotation_error_rad() / SQRT_3
     }
 
-    /// Standard uncertainty of the vertical stage's height after an approach, mm.
+    /// Standard uncertainty of the vertical stage's height after a move, mm.
     #[must_use]
     pub fn vertical_sigma_mm(&self) -> f64 {
         self.vertical_error_um / 1e3 / SQRT_3
     }
 
-    /// Standard uncertainty of where the head is mounted: each way (mm) and about each axis (rad).
+    /// Standard uncertainty of the head's mounting: along each axis (mm) and about each axis (rad).
     #[must_use]
     pub fn mount_sigma(&self) -> (f64, f64) {
         (self.mount_um / 1e3, self.mount_mrad / 1e3)
     }
 
-    /// How a single view of a scan may lie from what all share; the form of the piece is no stage's matter.
+    /// How far a single view of a scan may deviate from the pose that all views share; the shape of the workpiece is not included.
     #[must_use]
     pub fn of_single_view(&self) -> Local {
         let even = 1.0 / 3f64.sqrt();
@@ -276,7 +276,7 @@ impl StationSettings {
     /// Reads a station's file.
     ///
     /// # Errors
-    /// It cannot be read, or says something wrong: file, line, and what would be right.
+    /// The file cannot be read, or a value is wrong: file, line, and the expected value.
     pub fn load(path: &Path) -> Result<Self, TextFileError> {
         let (mut settings, _) = textfile::load_toml(path, textfile::MAX_BYTES, Self::check)?;
         let beside = |of: &mut Option<PathBuf>| {
@@ -290,7 +290,7 @@ impl StationSettings {
         Ok(settings)
     }
 
-    /// How patiently the controller is talked to.
+    /// Timeouts of the controller's client.
     #[must_use]
     pub fn client(&self) -> ClientSettings {
         ClientSettings {
@@ -327,7 +327,7 @@ impl StationSettings {
     }
 }
 
-/// More than nothing, and at most so much; what is no number is refused as well.
+/// Checks that a value is greater than 0 and at most `most`; NaN is refused.
 fn up_to(key: &str, value: f64, most: f64, expected: &'static str) -> Result<(), BadValue> {
     if value > 0.0 && value <= most {
         Ok(())
@@ -442,7 +442,7 @@ mod tests {
         assert_eq!(load(&written).unwrap(), StationSettings::default());
     }
 
-    /// The figures that were once compiled in, to the last bit.
+    /// The defaults equal the figures that were once compiled in, to the last bit.
     #[test]
     fn without_a_file_the_stages_are_those_of_the_data_sheets() {
         let stages = Stages::default();

@@ -1,4 +1,4 @@
-//! Autofocus on a target's blank plate: the lens is driven over its range, then about the sharpest place.
+//! Autofocus on a target's blank plate: the lens is driven over its range, then in finer steps about the sharpest setting.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use flankscope_instrument::acquisition::Progress;
 use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::StationSettings;
 
-/// The captures of the blank plate through a lens that is driven.
+/// Captures of the blank plate with a driven lens.
 #[derive(Debug)]
 pub struct Autofocus {
     surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
@@ -24,14 +24,14 @@ pub struct Autofocus {
     lens: LensDrive,
 }
 
-/// What was seen.
+/// Result of an autofocus.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Focused {
-    /// The lens, driven as nearly as it can be to where the camera is sharp.
+    /// The lens, driven to the nearest setting at which the camera is sharp.
     pub lens: LensDrive,
-    /// Where that is.
+    /// The sharpest power.
     pub sharpest: Sharpest,
-    /// Every setting that was looked at, in that order.
+    /// Every setting that was tried, in order.
     pub steps: Vec<Sharpness>,
 }
 
@@ -39,7 +39,7 @@ impl Autofocus {
     /// Starts the threads, with frames arriving below `root`.
     ///
     /// # Errors
-    /// The head has no lens or is unfit, or shared memory is refused.
+    /// The head has no lens or lacks other data, or shared memory cannot be created.
     pub fn open(
         head: HeadModel,
         target: &Target,
@@ -57,7 +57,7 @@ impl Autofocus {
         })
     }
 
-    /// Photographs the plate at setting after setting.
+    /// Captures the plate at one setting after the other.
     ///
     /// # Errors
     /// A capture failed, or no setting is the sharpest.
@@ -90,7 +90,7 @@ impl Autofocus {
         })?;
         let fine = looks.last().map_or(&[][..], Vec::as_slice);
         let sharpest = sharpest(fine, lens, head)?;
-        // A correction may end a little beyond what the lens is driven to.
+        // A correction may end slightly beyond the range of the lens.
         let ends = lens.range.map(|counts| lens.power_dpt(counts));
         let [least, most] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         let lens = lens.driven_to(sharpest.setting_dpt.clamp(least, most));

@@ -1,4 +1,4 @@
-//! A head from an ordinary board: a folder with `board.toml` and one folder of images per pose.
+//! Calibrates a head from images of an ordinary board: a folder with `board.toml` and one folder of images per pose.
 
 use std::path::{Path, PathBuf};
 
@@ -19,22 +19,22 @@ use serde::Deserialize;
 
 use super::job::{SaveError, write};
 
-/// Why the images of an ordinary board give no head.
+/// Why images of an ordinary board do not give a head.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardFolderError {
-    /// Things that are missing or wrong, all of them.
+    /// Entries or files are missing or wrong; all are listed.
     #[error("{} cannot be calibrated from; it lacks:{}", folder.display(), lacks.iter().map(|lack| format!("\n  - {lack}")).collect::<String>())]
     Lacks {
         /// The folder.
         folder: PathBuf,
-        /// Each with what would be right.
+        /// Each one with the expected value.
         lacks: Vec<String>,
     },
-    /// `board.toml` is not such a file.
+    /// `board.toml` cannot be read.
     #[error(transparent)]
     File(#[from] TextFileError),
-    /// An image.
+    /// An image cannot be read.
     #[error(transparent)]
     Image(#[from] ImageError),
     /// A frame that does not belong to its view.
@@ -43,12 +43,12 @@ pub enum BoardFolderError {
     /// A view cannot be decoded.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// No head.
+    /// The calibration failed.
     #[error(transparent)]
     Board(#[from] BoardError),
 }
 
-/// `board.toml`. All keys may be absent, so that everything that is missing can be said at once.
+/// `board.toml`. All keys are optional, so that all missing ones can be reported at once.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BoardFile {
@@ -73,32 +73,32 @@ struct ProjectorFile {
     height_px: u32,
 }
 
-/// Most points along a side of a board, and lengths that a board may have.
+/// Range of points along a side of a board.
 const POINTS: std::ops::RangeInclusive<usize> = 3..=200;
 const LENGTHS_MM: std::ops::Range<f64> = 1e-3..1e4;
 const MOST_PX: u32 = 16_384;
 
-/// A folder of poses, whole.
+/// A complete folder of poses.
 #[derive(Debug)]
 pub struct BoardFolder {
     board: Board,
     pitch_sigma_mm: Option<f64>,
     projector_px: [u32; 2],
     camera_px: [u32; 2],
-    /// Fringes that count columns, and rows.
+    /// Plans of the fringes that encode columns, and rows.
     plans: [Plan; 2],
     poses: Vec<PathBuf>,
 }
 
 impl BoardFolder {
-    /// The file that says what board it is.
+    /// The file that describes the board.
     pub const FILE: &str = "board.toml";
 
-    /// Reads what the folder says and looks for every image. `file` is `board.toml`, by default the folder's; plans are relative to it,
-    /// poses to the folder.
+    /// Reads the folder's files and checks that every image exists. `file` is `board.toml`, by default that in the folder; plans
+    /// are relative to it, poses to the folder.
     ///
     /// # Errors
-    /// [`BoardFolderError::Lacks`]: everything that is missing; a file that is no TOML of this form.
+    /// [`BoardFolderError::Lacks`] with everything that is missing, or a file that is not TOML of this form.
     pub fn open(folder: &Path, file: Option<&Path>) -> Result<Self, BoardFolderError> {
         let path = file.map_or_else(|| folder.join(Self::FILE), Path::to_owned);
         let mut lacks = Vec::new();
@@ -152,7 +152,7 @@ impl BoardFolder {
         &self.board
     }
 
-    /// Finds the board in every pose and adjusts a head to them. `watch` is told of each folder.
+    /// Finds the board in every pose and adjusts a head to them. `watch` is called with each folder.
     ///
     /// # Errors
     /// A damaged image, no board, or poses that do not determine the head.
@@ -171,7 +171,7 @@ impl BoardFolder {
         Ok(board::adjust(&views, geometry, &name, sizes_px)?)
     }
 
-    /// Writes the head's file and returns what it says of the calibration.
+    /// Writes the head file and returns its calibration section.
     ///
     /// # Errors
     /// [`SaveError`].
@@ -233,7 +233,7 @@ impl BoardFolder {
         Ok(board::find(&name.to_string_lossy(), &self.board, &frames)?)
     }
 
-    /// A decoder of phases: columns and rows of the projector do not depend on where it stands.
+    /// A decoder of phases: columns and rows of the projector do not depend on its pose.
     fn decoder(&self, plan: &Plan, bits: u32) -> Result<Decoder, DecodeError> {
         let ideal = |[width_px, height_px]: [u32; 2]| Pinhole {
             width_px,
@@ -258,9 +258,9 @@ impl BoardFolder {
         let options = DecodeOptions {
             grid: GridKind::Pixel,
             dark_frame: plan.dark_frame,
-            // As `decode` smooths: less than a lens blurs.
+            // The same smoothing as `decode`: less than the blur of a lens.
             smoothing_px: 0.7,
-            // A board is flat: over a few pixels a coarse fringe hardly changes.
+            // A board is flat, so a coarse fringe hardly changes over a few pixels.
             coarse_smoothing_px: 4.0,
             consistency: None,
             order_consistency: OrderConsistency::SCENE,
@@ -390,7 +390,7 @@ fn plan_of(
     }
 }
 
-/// The folders of the poses: those listed, or all of the folder.
+/// The folders of the poses: those listed, or all in the folder.
 fn poses_of(folder: &Path, listed: Option<Vec<PathBuf>>, lacks: &mut Vec<String>) -> Vec<PathBuf> {
     let mut poses: Vec<PathBuf> = match listed {
         Some(listed) => listed.iter().map(|pose| folder.join(pose)).collect(),
@@ -418,7 +418,7 @@ fn poses_of(folder: &Path, listed: Option<Vec<PathBuf>>, lacks: &mut Vec<String>
     there
 }
 
-/// Whether a pose has all images of a plan, and of what size they are.
+/// Checks that a pose has all images of a plan, and that their size is the same.
 fn images_of(plan: &Plan, pose: &Path, camera_px: &mut Option<[u32; 2]>, lacks: &mut Vec<String>) {
     let frames = match plan.frames(pose) {
         Ok(frames) => frames,

@@ -1,4 +1,4 @@
-//! Whether a calibrated head is fit today: the target's blank plate and its sphere, captured and measured.
+//! Fitness test of a calibrated head: the target's blank plate and its sphere are captured and measured.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use flankscope_instrument::acquisition::Progress;
 use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::StationSettings;
 
-/// The captures of plane and spheres, and what follows from it.
+/// Captures of plane and spheres, and their evaluation.
 #[derive(Debug)]
 pub struct FitnessSurvey {
     surveyor: Surveyor<Result<Vec<Vec<CellColumn>>, DecodeError>>,
@@ -28,7 +28,7 @@ impl FitnessSurvey {
     /// Starts the threads, with frames arriving below `root`.
     ///
     /// # Errors
-    /// The head is unfit or the target has no sphere, or shared memory is refused.
+    /// The head lacks what the job needs, the target has no sphere, or shared memory cannot be created.
     pub fn open(
         head: HeadModel,
         target: Target,
@@ -51,10 +51,10 @@ impl FitnessSurvey {
         })
     }
 
-    /// Photographs both and measures them.
+    /// Captures and measures both.
     ///
     /// # Errors
-    /// A capture failed, or shows too little.
+    /// A capture failed, or shows too few points.
     pub fn test(
         &mut self,
         port: &Path,
@@ -70,7 +70,7 @@ impl FitnessSurvey {
     }
 }
 
-/// Writes a self-test beside the head's file.
+/// Writes a self-test beside the head file.
 ///
 /// # Errors
 /// [`SaveError`].

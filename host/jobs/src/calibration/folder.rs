@@ -1,4 +1,4 @@
-//! A head from captures made elsewhere: images in folders instead of an instrument.
+//! Calibrates a head from images in folders, captured without the instrument.
 
 use std::path::{Path, PathBuf};
 
@@ -26,10 +26,10 @@ pub struct CaptureFolder {
 }
 
 impl CaptureFolder {
-    /// Reads manifest and plan; `start` is the head as the drawing shows it.
+    /// Reads manifest and plan; `start` is the head by its design data.
     ///
     /// # Errors
-    /// A file with its line and what would be right, or a head that cannot count electrons.
+    /// A file, with its line and the expected value, or a head whose sensor gain is not given.
     pub fn open(
         path: &Path,
         mut start: HeadModel,
@@ -48,17 +48,17 @@ impl CaptureFolder {
         })
     }
 
-    /// Captured with these stages, instead of those that are taken for granted.
+    /// Uses these stages instead of the default ones.
     #[must_use]
     pub fn with_stages(mut self, stages: &Stages) -> Self {
         self.stages = stages.clone();
         self
     }
 
-    /// Reads all views and adjusts the head to them. `watch` is told of each folder.
+    /// Reads all views and adjusts the head to them. `watch` is called with each folder.
     ///
     /// # Errors
-    /// An image that is missing, damaged or of another size, dots that are not found, or do not determine the head.
+    /// An image is missing, damaged or of another size, or dots are not found or do not determine the head.
     pub fn calibrate(
         &mut self,
         mut watch: impl FnMut(&Path),
@@ -87,10 +87,10 @@ impl CaptureFolder {
         Calibrated::of_views(&self.start, &self.target, &self.stages, &[blank], views)
     }
 
-    /// Plane and sphere measured with a head calibrated by these captures; `None` without a sphere in them.
+    /// Measures plane and sphere with a head calibrated by these captures; `None` if they show no sphere.
     ///
     /// # Errors
-    /// As [`Self::calibrate`], or too little is seen.
+    /// As [`Self::calibrate`], or too few points are seen.
     pub fn self_test(
         &self,
         head: &HeadModel,

@@ -1,4 +1,4 @@
-//! From captures to a head: cores first, then dots and their adjustment.
+//! Computes a head from captures: first the bundle's cores, then the dots and their adjustment.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,53 +29,53 @@ use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::{Stages, StationSettings};
 use flankscope_record::origin::Link;
 
-/// Why there is no calibration.
+/// Why a calibration failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrationError {
-    /// No captures.
+    /// The captures failed.
     #[error(transparent)]
     Survey(#[from] SurveyError),
     /// A view cannot be decoded.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// No cores.
+    /// The cores were not found.
     #[error(transparent)]
     Cores(#[from] FindError),
-    /// No head from these captures.
+    /// The captures do not determine a head.
     #[error(transparent)]
     Calibrate(#[from] CalibrateError),
-    /// No self-test from these captures.
+    /// The captures do not give a self-test.
     #[error(transparent)]
     SelfTest(#[from] SelfTestError),
-    /// No focus from these captures.
+    /// The captures do not give a focus.
     #[error(transparent)]
     NotSharp(#[from] NotSharp),
-    /// Nothing to focus with.
+    /// The head has no lens to focus.
     #[error("the head's file has no [lens]: its focus is not driven")]
     NoLens,
-    /// A setting that the lens is not driven to.
+    /// The setting is outside the lens's range.
     #[error("{}: {}", .0.got, .0.expected)]
     Focus(BadValue),
-    /// A manifest or a plan.
+    /// A manifest or plan cannot be read.
     #[error(transparent)]
     File(#[from] TextFileError),
-    /// An image.
+    /// An image cannot be read.
     #[error(transparent)]
     Image(#[from] ImageError),
     /// A frame that does not belong to its view.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// The starting head cannot count electrons.
+    /// The sensor gain of the starting head is not given, so counts cannot be converted to electrons.
     #[error("the starting head says nothing about its sensor: give [sensor]")]
     NoSensor,
 }
 
-/// The head cannot be written.
+/// Why a head file was not written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SaveError {
-    /// The operating system refused.
+    /// The operating system returned an error.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
@@ -83,17 +83,17 @@ pub enum SaveError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Not a TOML document.
+    /// The head cannot be written as TOML.
     #[error("the head cannot be put into words: {0}")]
     Toml(#[from] toml::ser::Error),
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file atomically.
 pub(super) fn write(path: PathBuf, bytes: &[u8]) -> Result<(), SaveError> {
     files::write_whole(&path, bytes).map_err(|source| SaveError::Write { path, source })
 }
 
-/// The search for the bundle's cores on the blank plate, photographed pixel by pixel.
+/// The search for the bundle's cores on the blank plate, captured at every pixel.
 #[derive(Debug)]
 pub struct CoreSearch(Surveyor<Result<FlatField, FindError>>);
 
@@ -101,7 +101,7 @@ impl CoreSearch {
     /// Starts the threads, with frames arriving below `root`.
     ///
     /// # Errors
-    /// The head is unfit, or shared memory is refused.
+    /// The head lacks what the job needs, or shared memory cannot be created.
     pub fn open(
         start: &HeadModel,
         target: &Target,
@@ -123,7 +123,7 @@ impl CoreSearch {
         )?))
     }
 
-    /// Photographs the plate and finds the cores.
+    /// Captures the plate and finds the cores.
     ///
     /// # Errors
     /// The capture failed, or shows no cores.
@@ -139,9 +139,9 @@ impl CoreSearch {
     }
 }
 
-/// How a view is summed to show the cores.
+/// The head and decoder options for finding cores.
 pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
-    // Cores lie up to the bundle's rim, wherever the drawing puts it, and shine in anybody's light.
+    // Cores extend to the bundle's rim, independent of the drawing, and are visible in any light.
     let head = HeadModel {
         image_circle: None,
         second_projector: None,
@@ -155,7 +155,7 @@ pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
     (head, options)
 }
 
-/// The capture of all plates, and the head that follows from it.
+/// Captures of all plates, and the head computed from them.
 #[derive(Debug)]
 pub struct PlateSurvey {
     surveyor: Surveyor<Result<Vec<Vec<CellColumn>>, DecodeError>>,
@@ -166,10 +166,10 @@ pub struct PlateSurvey {
 }
 
 impl PlateSurvey {
-    /// Starts the threads, with frames arriving below `root`; `start` knows its cores by now, if it has any.
+    /// Starts the threads, with frames arriving below `root`; `start` has its core map already, if it needs one.
     ///
     /// # Errors
-    /// The head is unfit, or shared memory is refused.
+    /// The head lacks what the job needs, or shared memory cannot be created.
     pub fn open(
         start: HeadModel,
         target: Target,
@@ -193,10 +193,10 @@ impl PlateSurvey {
         })
     }
 
-    /// Photographs all plates and adjusts the head to them.
+    /// Captures all plates and adjusts the head to them.
     ///
     /// # Errors
-    /// A capture failed, dots are not found, or do not determine the head.
+    /// A capture failed, or dots are not found or do not determine the head.
     pub fn calibrate(
         &mut self,
         port: &Path,
@@ -223,33 +223,33 @@ impl PlateSurvey {
 pub struct ViewReport {
     /// Plate of the target.
     pub plate: usize,
-    /// Angle told to the rotary stage.
+    /// Commanded angle of the rotary stage.
     pub rotation_deg: f64,
-    /// Height told to the vertical stage.
+    /// Commanded height of the vertical stage.
     pub vertical_mm: f64,
     /// Dots found.
     pub dots: usize,
-    /// Whether it took no part in the adjustment.
+    /// Whether it was withheld from the adjustment as a test.
     pub kept_aside: bool,
 }
 
-/// A head, and how it came about.
+/// A calibrated head, with the results of its calibration.
 #[derive(Clone, Debug)]
 pub struct Calibrated {
     /// The adjustment.
     pub adjusted: Adjusted,
-    /// Plates kept aside, measured with the head, and with the one without residual fields.
+    /// Plates withheld from the adjustment, measured with the head and with the one without residual fields.
     pub hold_out: [Option<HoldOut>; 2],
     /// Name of the target.
     pub target: String,
-    /// How well two projectors go together.
+    /// Agreement of two projectors.
     pub apart: Option<ApartRecord>,
-    /// What was seen in each view.
+    /// Results of each view.
     pub views: Vec<ViewReport>,
 }
 
 impl Calibrated {
-    /// Adjusts a head to views of printed plates, each by every projector. `blank` shows how much light each cell gets.
+    /// Adjusts a head to views of printed plates, each by every projector. `blank` gives the light of each cell.
     pub(super) fn of_views(
         start: &HeadModel,
         target: &Target,
@@ -300,8 +300,8 @@ impl Calibrated {
         Some(map.positions_px.len())
     }
 
-    /// Writes the head's file, and beside it its core map, if it has one; returns what the file says of the calibration:
-    /// also through which link it was made, or nothing of that for images from elsewhere.
+    /// Writes the head file, and beside it the core map, if it has one. Returns the calibration section of the file, with the
+    /// link through which it was made; without one for images from elsewhere.
     ///
     /// # Errors
     /// [`SaveError`].
@@ -330,7 +330,7 @@ impl Calibrated {
     }
 }
 
-/// Writes a head's file, and beside it its core map, if it has one, with the record of the geometry that it then has.
+/// Writes a head file, and beside it the core map, if it has one, with a record of the head's geometry.
 ///
 /// # Errors
 /// [`SaveError`].

@@ -1,4 +1,4 @@
-//! A head calibrated by the instrument itself: captures of a target's plates, to a head file.
+//! Calibration of a head by the instrument: from captures of a target's plates to a head file.
 //!
 //! ```text
 //!  blank plate, pixel by pixel ──► cores ──► plates, core by core ──► dots ──► adjustment ──► head
@@ -7,13 +7,13 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `survey` | captures of a list of stage positions, each handed on as it comes |
-//! | `views` | which positions a target asks for |
-//! | `job` | from the captures to the head |
-//! | `folder` | the same from images made elsewhere |
-//! | `board` | a head from an ordinary board, of images made elsewhere |
-//! | `autofocus` | the blank plate at setting after setting of a driven lens |
-//! | `fitness` | plane and sphere measured with it, today and every week |
+//! | `survey` | captures at a list of stage positions, each passed on when complete |
+//! | `views` | stage positions for a target |
+//! | `job` | from captures to the head |
+//! | `folder` | calibration from images of a target captured elsewhere |
+//! | `board` | calibration from images of an ordinary board captured elsewhere |
+//! | `autofocus` | captures of the blank plate at several settings of a driven lens |
+//! | `fitness` | regular test of a calibrated head with plane and sphere |
 
 mod autofocus;
 mod board;

@@ -1,4 +1,4 @@
-//! Captures of a list of stage positions.
+//! Captures at a list of stage positions.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,17 +17,17 @@ use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_instrument::patterns::PatternLight;
 use flankscope_instrument::settings::StationSettings;
 
-/// Why there are no captures.
+/// Why a survey failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SurveyError {
-    /// The instrument does not work.
+    /// The instrument failed.
     #[error(transparent)]
     Instrument(#[from] AcquisitionError),
-    /// The head file names no patterns.
+    /// The head file lacks an entry.
     #[error("the head file has no {what}; a capture needs it (see docs/formats/head.md)")]
     HeadLacks {
-        /// What is missing.
+        /// The missing entry.
         what: &'static str,
     },
     /// The pattern set's name is unknown.
@@ -36,25 +36,25 @@ pub enum SurveyError {
     /// The head model cannot decode.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// Somebody stopped it.
+    /// The operator interrupted it.
     #[error("interrupted after {done} of {of} views; no head is written")]
     Interrupted {
         /// Views that were captured.
         done: usize,
-        /// Of how many.
+        /// Number of views.
         of: usize,
     },
-    /// A view that could not be captured, twice.
+    /// A view could not be captured in two attempts.
     #[error("view {view} was lost: {why}")]
     Lost {
         /// Its number.
         view: usize,
-        /// Why.
+        /// Reason.
         why: String,
     },
 }
 
-/// The instrument's host side for captures that are no check, one result `O` per position.
+/// Host side of the instrument for captures other than checks; one result `O` per position.
 #[derive(Debug)]
 pub struct Surveyor<O> {
     acquisition: Acquisition<O>,
@@ -62,10 +62,10 @@ pub struct Surveyor<O> {
 }
 
 impl<O: Send + 'static> Surveyor<O> {
-    /// Starts the threads for a head before a target. `make` turns the sums of a view into its result.
+    /// Starts the threads for a head in front of a target. `make` computes a result from the sums of a view.
     ///
     /// # Errors
-    /// The head is unfit, or shared memory is refused.
+    /// The head lacks what the job needs, or shared memory cannot be created.
     pub fn open(
         head: &HeadModel,
         options: DecodeOptions,
@@ -103,10 +103,10 @@ impl<O: Send + 'static> Surveyor<O> {
         Ok(Self { acquisition, views })
     }
 
-    /// Captures every position in the order given, a lost one once more.
+    /// Captures every position in the given order; a lost one is captured once more.
     ///
     /// # Errors
-    /// The capture could not begin, or a view stayed lost.
+    /// The capture could not begin, or a view was lost twice.
     pub fn survey(
         &mut self,
         port: &Path,
@@ -119,11 +119,11 @@ impl<O: Send + 'static> Surveyor<O> {
         })
     }
 
-    /// Captures every position with the lens driven as `next` says, one way after the other, until it says nothing more; it is given
-    /// the results of what it said last.
+    /// Captures every position with the lens driven as `next` says, in repeated passes, until `next` returns nothing more. `next`
+    /// receives the results of the previous pass.
     ///
     /// # Errors
-    /// As [`Self::survey`], and what `next` fails with.
+    /// As [`Self::survey`], and errors of `next`.
     pub fn through<E: From<SurveyError>>(
         &mut self,
         port: &Path,

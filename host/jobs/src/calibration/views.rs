@@ -1,4 +1,4 @@
-//! Where the stages go to see a target's plates.
+//! Stage positions from which a target's plates are seen.
 
 use flankscope_profilometry::calibrate::{Plate, StagePose, Target};
 
@@ -7,16 +7,16 @@ use flankscope_profilometry::calibrate::{Plate, StagePose, Target};
 pub(super) struct PlateView {
     pub plate: usize,
     pub at: StagePose,
-    /// Takes no part in the adjustment.
+    /// Whether it is withheld from the adjustment as a test.
     pub kept_aside: bool,
 }
 
-/// The stages' position that puts a plate in the middle of the field.
+/// The position of the stages that centres a plate in the field.
 pub(super) fn facing(plate: &Plate) -> StagePose {
     StagePose::before(plate.tool_from_plate.translation_mm)
 }
 
-/// Every plate from each place beside it, in the order in which the target turns by.
+/// Every plate from each of its surrounding positions, in the order in which the target passes the head.
 pub(super) fn of_target(target: &Target) -> Vec<PlateView> {
     let mut views: Vec<PlateView> = target
         .plate

@@ -1,4 +1,4 @@
-//! A datum that the workpiece never touches: points inside a patch's, and bands of the flanks above or below the judged zone.
+//! Datum surfaces that the workpiece never touches: a patch's datum, or bands of the flanks above or below the judged zone.
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
@@ -12,14 +12,14 @@ use super::views::EvaluatorError;
 use crate::plan::FieldOfView;
 use flankscope_metrology::wear::sensitivity::LEAST_POINTS;
 
-/// Heights at which a view is asked whether it sees a flank are so far apart, mm.
+/// Step in height at which a flank's visibility is tested, mm.
 const STEP_MM: f64 = 0.05;
 
-/// Points so near to the rim of a datum are left out, mm. Where the pose is off, their nearest surface lies beyond the edge: they
-/// would hold the view along a plane, which no point of a plane can, and as badly as an edge is known.
+/// Points within this distance of a datum's rim are left out, mm. If the pose is off, their nearest surface lies beyond the edge:
+/// they would hold the view along a plane, which no point of a plane can, and only as well as an edge is known.
 const RIM_MM: f64 = 0.15;
 
-/// Of points where the stages say that they are (tool frame, mm), those inside the datum of the place's patch.
+/// Selects the points inside the datum of the place's patch, by the stages' pose (tool frame, mm).
 pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
     let judged = patches.get(place.tooth);
     let closest = place.surface.closest_many(points);
@@ -28,7 +28,7 @@ pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> V
         judged?.rests_on(number).then_some((number, patch, at))
     });
     let on: Vec<_> = on.collect();
-    // A step to every side is still on it.
+    // A point counts if a step to every side is still on the datum.
     let steps = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
     let probes: Vec<[f64; 3]> = on
         .iter()
@@ -50,8 +50,8 @@ pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> V
         .collect()
 }
 
-/// Of points where the stages say that they are (tool frame, mm), those on flanks within these bands of height, mm. Tip and root
-/// lands stay out: what is stated of the form as built is stated of flanks.
+/// Selects the points on flanks within these bands of height, mm, by the stages' pose (tool frame, mm). Tip and root lands are
+/// excluded, because the stated form error applies to flanks.
 pub(super) fn within_bands(
     bands_mm: &[[f64; 2]],
     gear: &GearData,
@@ -65,7 +65,7 @@ pub(super) fn within_bands(
     points.iter().map(is_on).collect()
 }
 
-/// Why the pose does not rest on these bands: one of them shows too little of one side, of the points that the fit `used`.
+/// Why the pose is not determined by these bands: one of them has too few points of one side among those that the fit `used`.
 pub(super) fn unseen(
     bands_mm: &[[f64; 2]],
     used: &[bool],
@@ -88,10 +88,10 @@ pub(super) fn unseen(
     })
 }
 
-/// Looks whether a view that is taken from here sees the tooth in its middle at all heights of these bands, mm.
+/// Checks that a view from this place sees the tooth in its middle at all heights of these bands, mm.
 ///
 /// # Errors
-/// A band reaches out of the field.
+/// A band extends beyond the field.
 pub(super) fn check_in_field(
     bands_mm: &[[f64; 2]],
     gear: &GearData,

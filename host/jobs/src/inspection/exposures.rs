@@ -1,14 +1,14 @@
-//! Whether the exposures of a view show one scene: what a check and a scan make of what the decoder found.
+//! Tests whether the exposures of a view show the same scene: the response of check and scan to the decoder's finding.
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Decoded;
 
-/// Largest share of the cells with fringes whose exposures may disagree. Noise alone leaves one in a thousand: of the ten thousand
-/// cells of a small field, three in a thousand are six standard deviations more. What lies below has lost its cells, and coverage
-/// and hidden depth speak for it.
+/// Largest fraction of the cells with fringes whose exposures may disagree. Noise alone gives one in a thousand; for the ten
+/// thousand cells of a small field, three in a thousand are six standard deviations more. Below the limit the disagreeing cells
+/// are lost, which coverage and hidden depth account for.
 const MOST_DISAGREEING: f64 = 3e-3;
 
-/// Why nothing is made of a view whose exposures do not show one scene: it is to be taken again.
+/// Why a view whose exposures do not show the same scene is not used: it must be captured again.
 pub(crate) fn exposures_disagree(decoded: &Decoded) -> Option<Reason> {
     let rejected = &decoded.rejected;
     let without_fringes = rejected.saturated + rejected.low_contrast + rejected.low_modulation;

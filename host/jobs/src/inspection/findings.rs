@@ -1,4 +1,4 @@
-//! All views of a check to what is said of the tool: the same for a check that runs and for one that is computed again.
+//! Combines all views of a check into findings; used by a live check and by a replay.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ use super::verdict::{self, Judged};
 use crate::plan::ViewPlan;
 use flankscope_record::baseline::{Baseline, Reference, ViewReference};
 
-/// What a check found.
+/// Findings of a check.
 #[derive(Debug)]
 pub(crate) struct Findings {
     pub verdict: Word,
@@ -38,8 +38,8 @@ pub(crate) struct Findings {
 }
 
 impl Findings {
-    /// Joins the outcomes of the views. A view without one has its reason among `problems`, or shares that for which the
-    /// check `stopped`.
+    /// Combines the outcomes of the views. A view without an outcome has its reason in `problems`, or else the reason for which
+    /// the check `stopped`.
     pub fn of(
         tool: &Tool,
         plan: &ViewPlan,

@@ -1,4 +1,4 @@
-//! What decides a flank: everything that was measured of it, once or several times, against limits and baseline.
+//! Decides a flank from all of its measurements, one or several, by limits and baseline.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::verdict::{Judged, unmeasured_flank};
 use flankscope_record::baseline::Baseline;
 use flankscope_record::document::Expanded;
 
-/// What flanks are judged by.
+/// Limits and baseline that flanks are judged by.
 #[derive(Debug)]
 pub(crate) struct FlankCriteria {
     pub tool: Arc<Tool>,
@@ -22,10 +22,10 @@ pub(crate) struct FlankCriteria {
 }
 
 impl FlankCriteria {
-    /// What is judged of a flank: its loss since the baseline where there is one, else its deviation from CAD.
+    /// The judged wear of a flank: its loss since the baseline if there is one, else its deviation from CAD.
     ///
     /// # Errors
-    /// Why the baseline cannot be used for it.
+    /// The baseline cannot be used for the flank.
     fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, Reason> {
         let Some(baseline) = &self.baseline else {
             return Ok(wear.clone());
@@ -40,7 +40,7 @@ impl FlankCriteria {
         since.map_err(|mismatch| Reason::instrument(Code::BaselineMismatch, mismatch))
     }
 
-    /// Judges a flank by everything that was measured of it.
+    /// Judges a flank by all of its measurements.
     pub fn flank(&self, tooth: u32, flank: Flank, captures: &[Vec<FlankWear>]) -> Option<Judged> {
         let measured: Vec<&FlankWear> = captures
             .iter()
@@ -62,14 +62,14 @@ impl FlankCriteria {
         })
     }
 
-    /// A single measurement's figure, µm.
+    /// Wear by a single measurement, µm.
     fn figure(&self, wear: &FlankWear) -> Option<Expanded> {
         let depth_mm = self.judged_wear(wear).ok()?.wear_mm()?;
         let (value, u95) = (1e3 * depth_mm.value, 1e3 * depth_mm.u95());
         (value.is_finite() && u95.is_finite()).then_some(Expanded { value, u95 })
     }
 
-    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
+    /// Whether a flank is too near to a limit to be decided, and repeating the measurement could change that.
     pub fn is_open(&self, wear: &FlankWear) -> bool {
         self.judged_wear(wear).is_ok_and(|wear| {
             let Some(depth_mm) = wear.wear_mm() else {

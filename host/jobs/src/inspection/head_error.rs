@@ -1,15 +1,15 @@
-//! What the head's calibration leaves uncertain of a flank.
+//! Uncertainty of a flank due to the head's calibration.
 //!
-//! A calibrated head says how well it knows a point along its view and across. A flank feels the part along its normal, which
-//! on an involute lies at the pressure angle off the circumference: most of it across the view. The pose, which takes up what
-//! all flanks in view share, is not counted on.
+//! A calibrated head states the uncertainty of a point along and across its viewing direction. Only the component along a flank's
+//! normal matters; on an involute this normal lies at the pressure angle off the circumference, so most of it is across the view.
+//! That the pose absorbs errors common to all flanks in view is not taken into account.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 
-/// Standard uncertainty of a flank's distance from its CAD by the head's calibration alone, um: what the head's file says,
-/// but at least the tool's `calibration_um`, if that is given.
+/// Standard uncertainty of a flank's distance from its CAD due to the head's calibration alone, µm: from the head file, but at
+/// least the tool's `calibration_um`, if given.
 pub(crate) fn calibration_um(tool: &Tool, head: &HeadModel) -> f64 {
     let stated_um = tool.inspect.as_ref().and_then(|i| i.calibration_um);
     head.calibration
@@ -27,8 +27,8 @@ pub(crate) fn calibration_um(tool: &Tool, head: &HeadModel) -> f64 {
         })
 }
 
-/// Angle between a flank's normal and the circumference in the middle of the judged zone. A patch may face anywhere: the larger of
-/// both uncertainties is then as much as it can feel.
+/// Angle between a flank's normal and the circumference in the middle of the judged zone. `None` for a patch, which may face
+/// anywhere: the larger of both uncertainties is then used.
 fn normal_from_circumference_rad(tool: &Tool) -> Option<f64> {
     let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
     let of_gear = |gear: &GearData| {

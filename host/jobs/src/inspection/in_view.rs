@@ -1,7 +1,8 @@
-//! What a view shows beside the tooth that it was taken for: its neighbours' flanks, and whether all teeth stand.
+//! Neighbours in a view: the flanks of other teeth than the requested one, and missing teeth.
 //!
-//! What is seen of a flank that was not asked for counts: an estimate beyond the warning limit warns, a figure that is shown to be
-//! beyond the stop limit stops. What was not seen of it does not count: a view shows its neighbours in part.
+//! A flank that was not requested affects the verdict by its visible part: an estimate above the warning limit warns; wear that
+//! is proven to exceed the stop limit is a no-go. Unmeasured parts do not count, because a view shows its neighbours only in
+//! part.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +20,7 @@ use flankscope_record::document::{FeatureId, FlankInView};
 /// A tooth with fewer points in the judged zone is not in view.
 const LEAST_POINTS: usize = 100;
 
-/// What a flank that was not asked for adds to the verdict of the check, if anything.
+/// Contribution of a flank that was not requested to the verdict, if any.
 fn finding(flank: &FlankInView) -> Option<Finding> {
     let verdict = match flank.verdict {
         Word::NoGo => Verdict::NoGo,
@@ -33,14 +34,14 @@ fn finding(flank: &FlankInView) -> Option<Finding> {
     })
 }
 
-/// Something that a check found beside the flanks that it was asked for.
+/// A finding besides the requested flanks.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Finding {
     pub verdict: Verdict,
     pub sentence: String,
 }
 
-/// What one view shows beside its own tooth.
+/// Neighbours in one view.
 #[derive(Clone, Debug, Default)]
 pub struct InView {
     pub(super) flanks: Vec<FlankInView>,
@@ -49,7 +50,7 @@ pub struct InView {
 }
 
 impl InView {
-    /// The gravest word of what counts of it: worn flanks that were not asked for, missing teeth. None where nothing does.
+    /// The worst verdict of its findings: worn flanks that were not requested, missing teeth. `None` without findings.
     #[must_use]
     pub fn word(&self) -> Option<Word> {
         let missing = (!self.missing.is_empty()).then_some(Word::NoGo);
@@ -60,7 +61,7 @@ impl InView {
             .max()
     }
 
-    /// Of a view of `tooth` and everything that was measured in its captures.
+    /// From a view of `tooth` and all measurements in its captures.
     pub(super) fn of_view(
         tooth: u32,
         captures: &[Vec<FlankWear>],
@@ -91,7 +92,7 @@ impl InView {
         }
     }
 
-    /// The same with what another capture of the view showed; `captures` are all of them.
+    /// Adds the neighbours of another capture of the view; `captures` are all of them.
     pub(super) fn with(
         mut self,
         tooth: u32,
@@ -107,7 +108,7 @@ impl InView {
     }
 }
 
-/// Adds teeth that are not there yet.
+/// Adds missing teeth that are not listed yet.
 fn add_missing(all: &mut Vec<MissingTooth>, more: Vec<MissingTooth>) {
     for missing in more {
         if all.iter().all(|there| there.tooth != missing.tooth) {
@@ -116,7 +117,7 @@ fn add_missing(all: &mut Vec<MissingTooth>, more: Vec<MissingTooth>) {
     }
 }
 
-/// Teeth in view of a tooth that nobody asked for.
+/// Teeth in view of a tooth that were not requested.
 pub(super) fn others(
     features: Features<'_>,
     places: &[Option<FlankPlace>],
@@ -124,7 +125,7 @@ pub(super) fn others(
     asked: &BTreeSet<u32>,
 ) -> Vec<u32> {
     let Features::Gear(_) = features else {
-        // A patch is laid on its own datum: the view says nothing of others.
+        // A patch is registered to its own datum, so the view tells nothing about others.
         return Vec::new();
     };
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
@@ -138,7 +139,7 @@ pub(super) fn others(
 }
 
 impl FlankCriteria {
-    /// Judges a flank that the view of `view` shows beside its own tooth, by all captures of the view.
+    /// Judges a flank in the view of `view` that belongs to another tooth, by all captures of the view.
     fn in_view(
         &self,
         view: u32,
@@ -189,7 +190,7 @@ impl FlankCriteria {
         })
     }
 
-    /// Its loss since the baseline of the same view where there is one, else its deviation from CAD.
+    /// Its loss since the baseline of the same view if there is one, else its deviation from CAD.
     fn neighbours_wear(&self, view: u32, wear: FlankWear) -> Result<FlankWear, Reason> {
         let Some(baseline) = &self.baseline else {
             return Ok(wear);
@@ -211,7 +212,7 @@ impl FlankCriteria {
     }
 }
 
-/// What all views of a check show beside the teeth that were asked for.
+/// Neighbours in all views of a check.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Neighbourhood {
     pub flanks: Vec<FlankInView>,
@@ -219,8 +220,8 @@ pub(crate) struct Neighbourhood {
 }
 
 impl Neighbourhood {
-    /// Adds what a view shows. A flank that several views show counts by the one that shows most against it, else by the one that
-    /// saw most of it.
+    /// Adds the neighbours of a view. For a flank in several views, the view with the worst verdict counts, else the one with the
+    /// largest coverage.
     pub fn add(&mut self, of_view: InView) {
         for flank in of_view.flanks {
             let weight = |of: &FlankInView| {
@@ -240,14 +241,14 @@ impl Neighbourhood {
         add_missing(&mut self.missing, of_view.missing);
     }
 
-    /// In the order of the teeth.
+    /// Sorts by tooth.
     pub fn sort(&mut self) {
         let key = |id: &FeatureId| (id.tooth, id.flank);
         self.flanks.sort_by_key(|of| key(&of.id));
         self.missing.sort_by_key(|of| of.tooth);
     }
 
-    /// What counts of it.
+    /// Findings that affect the verdict.
     pub fn findings(&self, asked: &BTreeSet<u32>) -> Vec<Finding> {
         let missing = self.missing.iter().map(|missing| {
             let asked = asked.contains(&missing.tooth);

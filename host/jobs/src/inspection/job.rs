@@ -1,4 +1,4 @@
-//! The check from hello to verdict: views captured, evaluated as they come, joined to one verdict.
+//! The check from connecting to the verdict: views are captured, evaluated as they arrive, and combined into one verdict.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -30,39 +30,39 @@ use flankscope_record::document::{Inspection, Pictures, Toothing};
 use flankscope_record::origin::Setting;
 use flankscope_record::sink::{ResultSink, SinkError};
 
-/// Why a check could not run at all. What goes wrong once it runs ends in an indeterminate verdict instead.
+/// Why a check could not run at all. Errors after it has begun give an indeterminate verdict instead.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InspectError {
-    /// What was found cannot be kept, and the store does not say so in the verdict.
+    /// The result cannot be stored, and the verdict does not state it.
     #[error(transparent)]
     Store(#[from] SinkError),
-    /// Controller or camera cannot be worked with.
+    /// Controller or camera cannot be used.
     #[error(transparent)]
     Acquisition(#[from] AcquisitionError),
     /// The recorded frames cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// No plan from this tool and head.
+    /// No plan of views follows from this tool and head.
     #[error(transparent)]
     Planning(#[from] PlanningError),
     /// The head model cannot decode.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// The tool cannot be evaluated.
+    /// The tool or head lacks data for the evaluation.
     #[error(transparent)]
     Evaluator(#[from] EvaluatorError),
-    /// Nobody can say where the camera stands.
+    /// No source of camera poses.
     #[error(transparent)]
     Pose(#[from] PoseError),
 }
 
 impl Job<ViewOutcome> {
-    /// Starts the threads of a check of the tool's teeth, or of `teeth`, with frames arriving below `root`. Results say that
-    /// they come from `setting`. `light` is that of pictures other than the plain ones.
+    /// Starts the threads of a check of the tool's teeth, or of `teeth`, with frames arriving below `root`. Results state
+    /// `setting` as their origin. `light` describes pictures other than the plain ones.
     ///
     /// # Errors
-    /// The subject is unfit, or shared memory is refused.
+    /// Tool or head lack what the job needs, or shared memory cannot be created.
     pub fn check_live(
         subject: Subject,
         setting: Setting,
@@ -108,10 +108,10 @@ impl Job<ViewOutcome> {
         )?)
     }
 
-    /// Runs one check through the controller at `port`; the verdict waits for `store`.
+    /// Runs one check through the controller at `port`; the verdict waits until `store` has it.
     ///
     /// # Errors
-    /// The check could not begin. Once it has begun, every trouble ends in an indeterminate verdict.
+    /// The check could not begin. Errors after that give an indeterminate verdict.
     pub fn inspect(
         &mut self,
         port: &Path,
@@ -126,10 +126,10 @@ impl Job<ViewOutcome> {
         })
     }
 
-    /// Runs one check of recorded frames; the verdict waits for `store`.
+    /// Runs one check of recorded frames; the verdict waits until `store` has it.
     ///
     /// # Errors
-    /// A thread ended early, or what was found cannot be kept.
+    /// A thread ended early, or the result cannot be stored.
     pub fn inspect_recorded(
         &mut self,
         frames: &mut RecordedFrames,
@@ -139,8 +139,8 @@ impl Job<ViewOutcome> {
         runtime()?.block_on(self.check(Source::Recorded(frames), None, store, &mut watch))
     }
 
-    /// Runs one check and stores it. With a hold limit, counted by the controller's clock, the head is out again by then, done
-    /// or not.
+    /// Runs one check and stores it. With a hold limit, by the controller's clock, the head leaves the die in time, whether the
+    /// check is complete or not.
     pub(crate) async fn check(
         &mut self,
         mut source: Source<'_>,
@@ -160,7 +160,7 @@ impl Job<ViewOutcome> {
                 run
             }
         };
-        // A head that must not judge is not worth the press's time.
+        // With a head that must not judge, the press is not held at all.
         let stopped = match (self.unfit(&source), &mut source) {
             (Some(why), _) => Some(why),
             (None, Source::Live(client)) => {
@@ -177,7 +177,7 @@ impl Job<ViewOutcome> {
         Ok(inspection)
     }
 
-    /// The order of the views that takes the least time from where the stages stand.
+    /// The order of the views that takes the least time from the present position of the stages.
     async fn quickest_order(
         &self,
         client: &mut Client,
@@ -193,7 +193,7 @@ impl Job<ViewOutcome> {
         Ok(order)
     }
 
-    /// Captures the views, and again what was lost or is too near to a limit.
+    /// Captures the views; then again those that were lost or are too near to a limit.
     async fn capture(
         &mut self,
         client: &mut Client,
@@ -218,8 +218,8 @@ impl Job<ViewOutcome> {
         self.repeat_open_views(client, run, watch).await
     }
 
-    /// Captures one view after the other, each where the pose program states that the camera stands. A view without a pose is not
-    /// captured; none is measured again, because the camera has gone on.
+    /// Captures one view after the other, each at the pose that the pose program states. A view without a pose is not captured;
+    /// none is repeated, because the camera has moved on.
     async fn capture_where_told(
         &mut self,
         client: &mut Client,
@@ -258,7 +258,7 @@ impl Job<ViewOutcome> {
         Ok(None)
     }
 
-    /// The result of a check, by a controller with this firmware if there was one.
+    /// The result of a check; `firmware` is that of the controller, if there was one.
     pub(super) fn conclude(
         &self,
         mut run: Run<ViewOutcome>,
@@ -331,7 +331,7 @@ impl Job<ViewOutcome> {
     }
 }
 
-/// Views of an attempt that are to be captured once more: those without an outcome, and those whose exposures disagree.
+/// Views of an attempt to be captured again: those without an outcome, and those whose exposures disagree.
 fn to_be_retaken(
     run: &mut Run<ViewOutcome>,
     views: &[usize],

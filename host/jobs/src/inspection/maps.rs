@@ -10,7 +10,7 @@ use flankscope_record::document::{FeatureId, FlankMap};
 /// Cell of the maps, mm.
 const CELL_MM: f64 = 0.1;
 
-/// The maps of all sides of `tooth` in a zone, and the deviations in them, µm; `places` says where each of `closest` lies.
+/// The maps of all sides of `tooth` in a zone, and the deviations in them, µm; `places` are the surface coordinates of `closest`.
 pub(super) fn draw(
     features: Features<'_>,
     tooth: u32,
@@ -36,7 +36,7 @@ pub(super) fn draw(
         }
         let cell = (down * rows as f64) as usize * columns + (along * columns as f64) as usize;
         let um = hit.signed_distance_mm * 1e3;
-        // Left comes first, and a patch has one side.
+        // The left flank comes first; a patch has one side.
         let sum = &mut sums[usize::from(at.flank == Flank::Right)][cell];
         *sum = (sum.0 + um, sum.1 + 1);
         deviations_um.push(um);

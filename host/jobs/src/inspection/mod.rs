@@ -1,22 +1,22 @@
-//! The in-situ check: a few critical teeth, between two strokes, to one verdict.
+//! The in-situ check: a few critical teeth, measured between two strokes, with one verdict.
 //!
 //! | file | holds |
 //! |---|---|
-//! | `job` | one check, from hello to verdict |
-//! | `recorded` | the same check on frames that were recorded |
+//! | `job` | one check, from connecting to the verdict |
+//! | `recorded` | the same check with recorded frames |
 //! | `recipe` | the part of a plan that tool and head file do not state, for a replay |
-//! | `repeat` | views measured again because a figure is too near to a limit |
-//! | `views` | one view's sums to points, pose and wear |
-//! | `exposures` | whether the exposures of a view show one scene |
+//! | `repeat` | repeats views whose wear is too near to a limit |
+//! | `views` | from one view's sums to points, pose and wear |
+//! | `exposures` | tests whether the exposures of a view show the same scene |
 //! | `outcome` | outcome of one view, captured once or more often |
 //! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
-//! | `die_size` | whether the die in view is of its drawing's size |
+//! | `die_size` | tests whether the die in view has the drawing's size |
 //! | `maps` | deviation maps for a report |
-//! | `head_error` | what the head's calibration leaves uncertain of a flank |
+//! | `head_error` | uncertainty of a flank due to the head's calibration |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
-//! | `in_view` | what a view shows beside the tooth that it was taken for |
-//! | `findings` | outcomes of all views to the findings of a check |
-//! | `verdict` | flanks to one verdict |
+//! | `in_view` | flanks in a view other than the requested ones, and missing teeth |
+//! | `findings` | from outcomes of all views to the findings of a check |
+//! | `verdict` | from flanks to one verdict |
 
 mod datum;
 mod die_size;

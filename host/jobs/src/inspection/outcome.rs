@@ -11,35 +11,35 @@ use super::verdict::Judged;
 use flankscope_record::baseline::Reference;
 use flankscope_record::document::{FlankMap, Phasors, ViewRegistration};
 
-/// Outcome of one view: its flanks judged, its pose, and what both were computed from.
+/// Outcome of one view: judged flanks, pose, and the data of both.
 #[derive(Debug)]
 pub struct ViewOutcome {
     /// The two flanks of the tooth in the middle.
     pub flanks: Vec<Judged>,
-    /// What the view shows beside them.
+    /// Neighbours in the view.
     pub in_view: InView,
-    /// How the points of each capture were laid on the CAD.
+    /// Registration of each capture's points to the CAD.
     pub registration: Vec<ViewRegistration>,
     /// Their deviation from CAD, cell by cell.
     pub fields: Vec<Reference>,
-    /// What the view says of its own pose about the axis, where it was registered.
+    /// Evidence of the view's rotation about the axis, if it was registered.
     pub pose: Option<PoseEvidence>,
     /// Deviation maps of the two flanks.
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
     pub deviations_um: Vec<f64>,
-    /// Sums of its frames, one entry for each capture, where they are kept.
+    /// Sums of its frames, one entry for each capture, if they are kept.
     pub phasors: Vec<Phasors>,
-    /// Whether the view must be taken again before anything is said of it.
+    /// Whether the view must be captured again before it is judged.
     pub(super) retake: bool,
     pub(super) tooth: u32,
-    /// What each capture measured of the flanks; nothing where it could not.
+    /// Wear of the flanks by each capture; empty if it could not be measured.
     pub(super) captures: Vec<Vec<FlankWear>>,
     pub(super) criteria: Arc<FlankCriteria>,
 }
 
 impl ViewOutcome {
-    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
+    /// Whether a flank is too near to a limit to be decided, and repeating the measurement could change that.
     pub(crate) fn is_open(&self) -> bool {
         self.captures.last().is_some_and(|last| {
             let mut own = last.iter().filter(|wear| wear.tooth == self.tooth);
@@ -47,7 +47,7 @@ impl ViewOutcome {
         })
     }
 
-    /// Outcomes of all views, those that were captured again judged together with their earlier captures.
+    /// Outcomes of all views; views with several captures are judged by all of them.
     pub(crate) fn joined(
         mut first: BTreeMap<usize, Self>,
         again: BTreeMap<usize, Self>,
@@ -62,7 +62,7 @@ impl ViewOutcome {
         first
     }
 
-    /// The outcome of this view and of another capture of it, judged together.
+    /// The outcome by this and another capture of the view together.
     #[must_use]
     pub(crate) fn with(mut self, again: Self) -> Self {
         self.registration.extend(again.registration);

@@ -1,4 +1,4 @@
-//! Where a view is taken from, and how well that is known before anything was seen.
+//! Pose from which a view is captured, and its uncertainty before registration.
 
 use std::sync::Arc;
 
@@ -10,20 +10,20 @@ use nalgebra::Matrix6;
 
 use flankscope_instrument::settings::Stages;
 
-/// Where a view is taken from, and the surface it can see.
+/// Pose from which a view is captured, and the surface that is visible from it.
 #[derive(Clone)]
 pub(super) struct Place {
     pub tooth: u32,
-    /// What is judged of its sides.
+    /// Judged zone of its sides.
     pub zone: Zone,
     pub tool_from_camera: Rigid<ToolFrame, Camera>,
     pub surface: Arc<Surface>,
-    /// Standard uncertainties of a pose that was stated: mm, mrad. The stages' otherwise.
+    /// Standard uncertainties of a stated pose: mm, mrad. `None` for a pose by the stages.
     pub stated: Option<[f64; 2]>,
 }
 
 impl Place {
-    /// The expected pose against a tool that is `scale` times as large as its CAD.
+    /// The expected pose relative to a tool that is `scale` times as large as its CAD.
     pub fn tool_from_cold_camera(&self, scale: f64) -> Rigid<ToolFrame, Cloud> {
         let mut pose = *self.tool_from_camera.isometry();
         pose.translation.vector /= scale;
@@ -38,8 +38,7 @@ impl Place {
         }
     }
 
-    /// Part of that covariance that differs from approach to approach of the same place; zero for a stated pose, which does not
-    /// say.
+    /// Part of that covariance that is random at every approach of the same position; zero for a stated pose, which does not separate it.
     pub fn approach(&self, stages: &Stages) -> Matrix6<f64> {
         match self.stated {
             Some(_) => Matrix6::zeros(),
@@ -48,7 +47,7 @@ impl Place {
     }
 }
 
-/// What the stages say of a view's pose.
+/// Prior of a view's pose from the stages.
 fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
     let (mount_mm, mount_rad) = stages.mount_sigma();
     Prior::independent(
@@ -66,7 +65,7 @@ fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
     )
 }
 
-/// Of its covariance, what the stages draw anew with every approach; the rest is how head and die are mounted.
+/// Covariance of the stages' random errors at every approach; the remaining part of the prior is the mounting of head and die.
 fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
     let mut covariance = Matrix6::zeros();
     covariance[(2, 2)] = stages.rotation_sigma_rad() * stages.rotation_sigma_rad();

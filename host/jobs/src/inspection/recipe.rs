@@ -1,4 +1,4 @@
-//! The recipe of a check: what of a plan its files do not say, so that a replay makes the same plan.
+//! The recipe of a check: the settings of a plan that tool and head file do not contain, so that a replay makes the same plan.
 
 use flankscope_profilometry::DecodeOptions;
 use flankscope_record::document::{Recipe, RecordedRecipe};

@@ -1,4 +1,4 @@
-//! The check on recorded frames: everything after the camera as in a live one, and nothing before it.
+//! The check with recorded frames: everything after the camera is as in a live check.
 
 use std::path::Path;
 
@@ -22,10 +22,10 @@ use flankscope_record::document::Inspection;
 use flankscope_record::origin::Setting;
 
 impl Job<ViewOutcome> {
-    /// Starts the threads of a check of these frames, or of those of some `teeth`. Results say that they come from `setting`.
+    /// Starts the threads of a check of these frames, or of those of some `teeth`. Results state `setting` as their origin.
     ///
     /// # Errors
-    /// The subject is unfit, or an image is not there or not what plan and head say.
+    /// Tool or head lack what the job needs, or an image is missing or differs from plan and head file.
     pub fn check_recorded(
         subject: Subject,
         setting: Setting,
@@ -44,7 +44,8 @@ impl Job<ViewOutcome> {
         Ok((job, frames))
     }
 
-    /// Every view's first capture, and as in a live check the next of those that must be taken again or stay too near to a limit.
+    /// Plays every view's first capture; then, as a live check would, the next one of views that must be repeated or are too near
+    /// to a limit.
     pub(super) async fn play_check(
         &mut self,
         frames: &mut RecordedFrames,
@@ -92,10 +93,10 @@ impl Job<ViewOutcome> {
         Ok(())
     }
 
-    /// Makes a recording of the frames that were saved for a check. `head` is the head's file in the same folder.
+    /// Writes the index of the frames that were saved for a check. `head` is the head file in the same folder.
     ///
     /// # Errors
-    /// Something was not written.
+    /// A file was not written.
     pub fn record_check(
         &mut self,
         of: &Inspection,
@@ -112,13 +113,13 @@ impl Job<ViewOutcome> {
     }
 }
 
-/// Views of a run whose outcome is such.
+/// Views of a run whose outcome satisfies `is`.
 fn views_that(run: &Run<ViewOutcome>, is: impl Fn(&ViewOutcome) -> bool) -> Vec<usize> {
     let outcomes = run.outcomes.iter().filter(|(_, outcome)| is(outcome));
     outcomes.map(|(&view, _)| view).collect()
 }
 
-/// The tooth in the middle of a view of an index, by its name and by its angle.
+/// The tooth in the middle of a view of an index, by its entry and by its angle.
 pub(crate) fn tooth_in_middle(
     gear: &GearData,
     at: usize,
@@ -136,8 +137,8 @@ pub(crate) fn tooth_in_middle(
     }
 }
 
-/// The views of recorded frames: those of `teeth`, else of the teeth that the index names, else all. Beside them, for each view
-/// of the index its place among them, if it is one of them.
+/// The views of recorded frames: those of `teeth`, else of the teeth in the index, else all. Also, for each view of the index,
+/// its position among them, if it is one of them.
 fn plan(
     tool: &Tool,
     head: &HeadModel,
@@ -147,7 +148,7 @@ fn plan(
     let in_middle = |(at, view): (usize, &IndexedView)| match &tool.gear {
         Some(gear) => tooth_in_middle(gear, at, view),
         None if tool.patches.is_empty() => Err(PlanningError::NoGear),
-        // Several patches may be in one view: it says itself of which it is.
+        // Several patches may be in one view, so the index must name the patch.
         None => view.tooth.ok_or(PlanningError::Unnamed { view: at + 1 }),
     };
     let views = recording.index.view.iter().enumerate();

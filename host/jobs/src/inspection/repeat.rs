@@ -1,4 +1,4 @@
-//! A figure too near to a limit is measured again, while there is time.
+//! Repeats measurements of wear that is too near to a limit, while there is time.
 
 use std::time::Duration;
 
@@ -11,19 +11,19 @@ use crate::job::Job;
 use flankscope_instrument::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use flankscope_instrument::controller::{Client, ClientError};
 
-/// How the capture of views that are measured again ended.
+/// How the repeated capture of views ended.
 enum Repeated {
     /// All views were captured.
     Whole,
-    /// Early, for this reason.
+    /// It ended early, for this reason.
     Stopped(Stop),
-    /// The press stayed closed to the head.
+    /// The press did not open within the wait.
     NotLetIn,
 }
 
 impl Job<ViewOutcome> {
-    /// Measures again, as often as the tool file allows and while there is time, the views whose figures are too near to a
-    /// limit; returns why that stopped early, if it did.
+    /// Repeats, as often as the tool file allows and while there is time, the views whose wear is too near to a limit. Returns
+    /// why that stopped early, if it did.
     pub(super) async fn repeat_open_views(
         &mut self,
         client: &mut Client,
@@ -31,7 +31,7 @@ impl Job<ViewOutcome> {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
         let inspect = self.subject.tool.inspect.as_ref();
-        // One way in and out, and a visit to each view.
+        // The time of one way in and out, and of a visit to each view.
         let visit = run.timeline.elapsed() / (run.wanted.len() as u32 + 1);
         for _ in 0..inspect.map_or(0, |inspect| inspect.remeasure) {
             let is_open = |view: &usize| run.outcomes.get(view).is_some_and(ViewOutcome::is_open);
@@ -48,7 +48,7 @@ impl Job<ViewOutcome> {
             }
             let before = std::mem::take(&mut run.outcomes);
             let captured = self.capture_when_open(client, run, &open, watch).await;
-            // A view that fails now keeps what it had.
+            // A view that fails now keeps its earlier outcome.
             run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
             match captured? {
                 Repeated::Whole => {}
@@ -59,7 +59,7 @@ impl Job<ViewOutcome> {
         Ok(None)
     }
 
-    /// Captures views, at the next opening where the press has gone on.
+    /// Captures views at the next opening of the press, if it has gone on meanwhile.
     async fn capture_when_open(
         &mut self,
         client: &mut Client,

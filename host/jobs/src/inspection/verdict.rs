@@ -1,4 +1,4 @@
-//! Flanks to one verdict. Whatever is missing is indeterminate, never go.
+//! Combines flanks into one verdict. Missing data give an indeterminate verdict, never "go".
 
 use std::collections::BTreeMap;
 
@@ -23,27 +23,27 @@ pub struct Judged {
     coverage_ratio: f64,
     conformity: Option<f64>,
     detail: Option<FlankDetail>,
-    /// The figure of each capture, where it has one.
+    /// The wear by each capture, if it was measured.
     measurements: Vec<Option<Expanded>>,
     warn_um: f64,
     limit_um: f64,
     verdict: Verdict,
-    /// The figure behind a warn or no-go.
+    /// The quantity that caused a warning or no-go.
     cause: Option<Cause>,
-    /// Whether there was anything to judge.
+    /// Whether the flank was measured at all.
     measured: bool,
 }
 
 impl Judged {
     /// Judges a measured flank.
     ///
-    /// `absolute` is its wear depth against CAD, which `wear` itself is without a baseline; none when no disc could be measured.
+    /// `absolute` is its wear depth relative to CAD, which equals `wear` without a baseline; `None` if no disc could be measured.
     pub fn of_wear(wear: &FlankWear, absolute: Option<Figure>, limits: &FlankLimits) -> Self {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
         let depth_mm = wear.wear_mm();
         let Decision { verdict, cause } = judge(wear, limits);
         let rule = limits.wear;
-        // What walls may hide of a flank that passes changes nothing of that, and dim light looks like their shadow.
+        // Loss hidden by walls does not affect a flank that passes; dim light looks like their shadow.
         let at_least_mm = wear.judged.and_then(|of| of.at_least_mm());
         let at_least_mm = at_least_mm.filter(|_| !verdict.word().passes());
         let at_least_um = at_least_mm.and_then(finite_um);
@@ -55,7 +55,7 @@ impl Judged {
                 patch: None,
             },
             wear_um: depth_mm.and_then(|of| finite_um(of.value)),
-            // Of a lower bound no interval is claimed.
+            // No interval is given with a lower bound.
             u95_um: depth_mm
                 .and_then(|of| finite_um(of.u95()))
                 .filter(|_| at_least_um.is_none()),
@@ -78,19 +78,19 @@ impl Judged {
         &self.verdict
     }
 
-    /// The wear, µm, where there is one.
+    /// The wear, µm, if measured.
     pub(crate) fn wear_um(&self) -> Option<f64> {
         self.wear_um
     }
 
-    /// The same, called by the name of its patch where it is one of the tool's.
+    /// The same, with the name of its patch, if it is one of the tool's patches.
     pub(crate) fn named(mut self, tool: &Tool) -> Self {
         let patch = tool.features().patch(self.id.tooth);
         self.id.patch = patch.map(|patch| patch.name.clone());
         self
     }
 
-    /// The same, with the heights that it is for, mm.
+    /// The same, with the heights of its zone, mm.
     pub(crate) fn over(mut self, height_mm: [f64; 2]) -> Self {
         if let Some(detail) = &mut self.detail {
             detail.zone_height_mm = Some(height_mm);
@@ -98,12 +98,12 @@ impl Judged {
         self
     }
 
-    /// Something speaks against what was judged: damage that was found stays found.
+    /// Downgrades the verdict for a reason; a no-go stays.
     pub(crate) fn withhold(&mut self, why: &Reason) {
         self.verdict = self.verdict.clone().withheld(why);
     }
 
-    /// The same verdict with the figures of the several captures that it rests on.
+    /// The same verdict, with the wear by each of the captures that it is based on.
     pub fn from_captures(self, measurements: Vec<Option<Expanded>>) -> Self {
         Self {
             measurements,
@@ -112,7 +112,7 @@ impl Judged {
     }
 }
 
-/// The figures beside the judged one.
+/// The results besides the judged wear.
 fn detail(wear: &FlankWear, absolute: Option<Figure>, limits: &FlankLimits) -> Option<FlankDetail> {
     let (judged, absolute) = wear.judged.zip(absolute)?;
     let figures = judged.read;
@@ -122,7 +122,7 @@ fn detail(wear: &FlankWear, absolute: Option<Figure>, limits: &FlankLimits) -> O
     };
     let of = |figure: Figure| expanded(figure.value, figure.u);
     let um = |mm: Figure| expanded(1e3 * mm.value, 1e3 * mm.u);
-    // Cells are compared as they are read, but in the pose that the judged figure is in.
+    // Cells are compared as measured, but in the pose of the judged value.
     let moved_mm = judged.mean_mm.value - figures.mean_mm.value;
     let beyond = |um: f64| wear.field.area_beyond_mm2(1e-3 * um - moved_mm);
     let finite = |figure: Expanded| figure.value.is_finite().then_some(figure);
@@ -222,9 +222,8 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
     .named(tool)
 }
 
-/// The tool's verdict and one sentence about it. A check that stopped early is never a go; a go against a CAD of which it is
-/// not known how true the die is to it says so. `beside` is what was found beside the flanks that were
-/// asked for.
+/// The tool's verdict and one sentence about it. A check that stopped early is never a "go". A "go" relative to a CAD states it
+/// if the die's agreement with the CAD is unknown. `beside` are findings besides the requested flanks.
 pub fn of_tool(
     flanks: &[Judged],
     stopped: Option<&Reason>,
@@ -232,7 +231,7 @@ pub fn of_tool(
     beside: &[Finding],
 ) -> (Word, String) {
     let of_flanks = flanks.iter().map(|flank| flank.verdict.clone());
-    // Without flanks there is nothing to say, whatever else is in view.
+    // Without flanks there is no verdict, even if other flanks are in view.
     let counted = if flanks.is_empty() { &[] } else { beside };
     let beside_flanks = counted.iter().map(|of| of.verdict.clone());
     let mut verdict = combine(of_flanks.chain(beside_flanks));

@@ -1,4 +1,4 @@
-//! One captured view to its flanks or its patch: points, pose, deviation, wear.
+//! Evaluates one captured view: points, pose, deviation, and wear of its flanks or patch.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -35,42 +35,42 @@ use flankscope_metrology::wear::sensitivity::FittedView;
 use flankscope_record::baseline::Reference;
 use flankscope_record::document::{Light, ViewRegistration, ViewStatus, WeakDirection};
 
-/// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
-/// standard deviations stands alone.
+/// Number of neighbours of the outlier filter: a point is an outlier if its mean distance to its neighbours exceeds the mean by
+/// three standard deviations.
 pub(crate) const OUTLIER_NEIGHBOURS: usize = 8;
 pub(crate) const OUTLIER_RATIO: f64 = 3.0;
-/// The registered surface reaches this far beyond the field of view, mm: no point then has its foot on the cut.
+/// Distance by which the registered surface extends beyond the field of view, mm: then no point's closest point lies on the cut.
 const MARGIN_MM: f64 = 2.0;
-/// Noise alone makes one cell in a thousand inconsistent, edges and highlights a few more; vibration nearly all.
+/// Largest fraction of inconsistent cells: noise gives one in a thousand, edges and highlights a few more, vibration nearly all.
 const MOST_INCONSISTENT: f64 = 0.1;
-/// Cosine of the angle to the normal below which a ray grazes.
+/// A ray with a smaller cosine to the normal is grazing.
 const GRAZING: f64 = 0.05;
-/// Teeth are missed within this part of the field's radius: at its rim light and optics end.
+/// Missing teeth are searched within this fraction of the field's radius: at the rim, light and optics end.
 const NOT_THE_RIM: f64 = 0.85;
 
 /// Why a subject cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvaluatorError {
-    /// No gear, nothing to inspect, or no hand-eye.
+    /// Tool or head lack an entry: gear, teeth to inspect or hand-eye.
     #[error("{what} is missing; a check needs it (see docs/formats)")]
     Missing {
-        /// What.
+        /// The missing entry.
         what: &'static str,
     },
     /// No measuring volume.
     #[error(transparent)]
     Volume(#[from] NoVolume),
-    /// The hand-eye is no rigid motion.
+    /// The hand-eye transform is not a rigid motion.
     #[error("the head's stage_from_camera: {0}")]
     HandEye(#[from] RigidError),
-    /// The camera would look past the die.
+    /// The view would not see the die.
     #[error("the CAD has no surface where the head looks at tooth {tooth}")]
     NothingThere {
         /// Tooth of the view.
         tooth: u32,
     },
-    /// A band of the datum that a view does not show.
+    /// A view does not show a band of the datum.
     #[error(
         "inspect.datum_height_mm of the tool file: the view of tooth {tooth} shows its flanks from {:.1} to {:.1} mm of height, not all \
          of the band {} to {} mm; name a band within, and judge a zone that leaves room for it (inspect.zone_height_mm)",
@@ -81,26 +81,26 @@ pub enum EvaluatorError {
         tooth: u32,
         /// The band, mm.
         band_mm: [f64; 2],
-        /// What is seen, mm.
+        /// Visible heights, mm.
         seen_mm: [f64; 2],
     },
 }
 
-/// Everything that does not change from check to check.
+/// Data of the evaluation that are the same for every check.
 pub struct Evaluator {
     criteria: Arc<FlankCriteria>,
     datum: Datum,
-    /// Bands of height that the pose rests on instead, mm; none where it does not.
+    /// Bands of height that determine the pose, mm; empty if the lands do.
     datum_bands_mm: Vec<[f64; 2]>,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
-    /// Teeth that have a view of their own.
+    /// Teeth that have their own view.
     asked: BTreeSet<u32>,
-    /// Where the camera stood instead.
+    /// Stated poses of the camera, used instead of the stages' if given.
     stated: StatedPoses,
     field: FieldOfView,
     stages: Stages,
-    /// Size of the tool relative to its CAD, or why it cannot be judged.
+    /// Size of the tool relative to its CAD, or why the tool cannot be judged.
     scale: Result<f64, Reason>,
 }
 
@@ -176,7 +176,7 @@ impl Evaluator {
                 })
             })
             .collect::<Result<_, EvaluatorError>>()?;
-        // What the first verdict need not wait for.
+        // Prepared now, so that the first verdict need not wait for it.
         wear::prepare();
         let settings = WearSettings {
             calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
@@ -204,16 +204,16 @@ impl Evaluator {
         })
     }
 
-    /// Flanks or patches of the tool that are judged.
+    /// The judged flanks or patches of the tool.
     fn features(&self) -> Features<'_> {
         self.criteria.tool.features()
     }
 
-    /// Where the camera stood for a view: as planned, or as a pose table or a pose program stated.
+    /// Pose of the camera for a view: as planned, or as stated by a pose table or pose program.
     fn place(&self, view: usize) -> Place {
         let planned = self.places[view].clone();
         let stated = self.stated.of(view);
-        // Checked when it was stated.
+        // It was checked when it was stated.
         let pose = stated.and_then(|of| Some((of.rigid().ok()?, [of.u_mm, of.u_mrad])));
         match pose {
             Some((tool_from_camera, u)) => Place {
@@ -261,7 +261,7 @@ impl Evaluator {
         laps.lap("deviation");
         let places = wear::places(self.features(), &closest);
         let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
-        // The points that stand alone come last: there was light.
+        // Outliers come last: light did reach them.
         let is_dark = decoded.is_dark.iter().copied();
         let is_dark = is_dark.chain(std::iter::repeat(false));
         let (mut dark, mut undecoded) = (Vec::new(), Vec::new());
@@ -331,8 +331,7 @@ impl Evaluator {
         }
     }
 
-    /// The points that do not stand alone, as they are when the die is cold: a warm die is laid on its CAD as it is then,
-    /// everything shrinks towards axis and seat, poses included.
+    /// The points without outliers, scaled to a cold die: a warm die shrinks towards axis and seat to match its CAD, poses included.
     fn cold(&self, decoded: &Decoded) -> ColdPoints {
         let cloud = &decoded.cloud;
         let kept = outlier::statistical(&cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
@@ -351,7 +350,7 @@ impl Evaluator {
         self.scale.as_ref().copied().unwrap_or(1.0)
     }
 
-    /// Part of the points with another fringe order than the drawing has along their ray.
+    /// Fraction of the points whose fringe order differs from that of the drawing along their ray.
     fn other_order_ratio(
         &self,
         points: &[[f64; 3]],
@@ -364,14 +363,14 @@ impl Evaluator {
             let cosine = along.dot(&Vector3::from(closest.normal));
             let drawn = ray - ray.normalize() * (closest.signed_distance_mm / cosine);
             let apart = self.decoder.orders_between(*point, drawn.into());
-            // Where a ray grazes the surface nothing is expected of it.
+            // Grazing rays are not compared.
             cosine.abs() > GRAZING && apart.is_some_and(|orders| orders.abs() > 0.5)
         };
         let others = points.iter().zip(closest).filter(|pair| is_other(*pair));
         others.count() as f64 / points.len().max(1) as f64
     }
 
-    /// Lays the points on the CAD, from where the stages say they are.
+    /// Registers the points to the CAD, starting at the stages' pose.
     fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
         let expected: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
@@ -445,7 +444,7 @@ impl Evaluator {
         let leakage = leakage
             .map(|(side, of)| (side.word(), of.leakage))
             .collect();
-        // All sides of a tooth have one.
+        // All sides of a tooth share the evidence.
         let evidence = sensitivities.first().and_then(|of| of.evidence.as_deref());
         let pose = evidence.cloned();
         let wears: Vec<FlankWear> = measured
@@ -463,8 +462,7 @@ impl Evaluator {
         }
     }
 
-    /// Teeth that do not stand in a view that could be laid on the CAD, but not those at the rim of the field. `points` are in the
-    /// camera's frame.
+    /// Missing teeth in a view that could be registered, except at the rim of the field. `points` are in the camera frame.
     fn missing_teeth(
         &self,
         fit: &Fit,
@@ -498,7 +496,7 @@ impl Evaluator {
         missing_teeth(gear, sight.camera_mm, rays, measured.closest, places)
     }
 
-    /// Why there is neither.
+    /// The result if the view cannot be assessed, with its reason.
     fn not_assessed(&self, place: &Place, why: &Reason) -> Assessed {
         Assessed {
             flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
@@ -508,12 +506,12 @@ impl Evaluator {
         }
     }
 
-    /// Which points the fit may use. Judged flanks must stay out: their wear would pull the pose towards it and hide
-    /// itself (by a fifth, for 10 µm on one flank of the seven in view). Their tooth stays out as a whole: at the ends of a
-    /// flank its wear reaches into what would count as a land. Of a tool with patches those inside the judged one's datum may,
-    /// and where the tool names bands of height those on flanks within them, the judged tooth's as well.
+    /// Selects the points that the fit may use. Judged flanks are excluded: their wear would pull the pose towards them and hide
+    /// part of itself (a fifth, for 10 µm on one of seven flanks in view). The whole judged tooth is excluded, because wear at
+    /// the ends of a flank extends into what would count as a land. For a tool with patches, points inside the judged patch's
+    /// datum are used; if the tool file names bands of height, points on flanks within them, also on the judged tooth.
     ///
-    /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
+    /// The position of a point is taken from the stages' pose, which is off by hundredths of a millimetre.
     fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
         let gear = match self.features() {
             Features::Gear(gear) => gear,
@@ -574,24 +572,24 @@ impl Evaluator {
     }
 }
 
-/// Points of a view on a cold die, camera frame (mm), each with its standard uncertainty (mm).
+/// Points of a view scaled to a cold die, camera frame (mm), each with its standard uncertainty (mm).
 struct ColdPoints {
     points: Vec<[f64; 3]>,
     sigma: Vec<f32>,
-    /// Points of the cloud that stand alone.
+    /// Indices of the cloud's outliers.
     dropped: Vec<usize>,
 }
 
-/// A view laid on the CAD.
+/// A view registered to the CAD.
 struct Fit {
     registration: Registration,
-    /// Of every point, whether the fit used it.
+    /// For every point, whether the fit used it.
     used: Vec<bool>,
     prior: Prior,
     options: Options,
 }
 
-/// What is said of both flanks of a view's middle tooth.
+/// Result for both flanks of a view's middle tooth.
 struct Assessed {
     flanks: Vec<Judged>,
     leakage: BTreeMap<&'static str, Leakage>,
@@ -599,7 +597,7 @@ struct Assessed {
     wears: Vec<FlankWear>,
 }
 
-/// How long each part took.
+/// Duration of each step.
 struct Laps {
     clock: Instant,
     elapsed_ms: BTreeMap<&'static str, f64>,
@@ -620,7 +618,7 @@ impl Laps {
     }
 }
 
-/// Why nothing is made of a view in which too many cells' frames contradict each other.
+/// Why a view is not used if the frames of too many cells are inconsistent.
 fn shaken(inconsistent_ratio: f64) -> Option<Reason> {
     let why = format_args!(
         "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press vibrates, \
@@ -631,7 +629,7 @@ fn shaken(inconsistent_ratio: f64) -> Option<Reason> {
     (inconsistent_ratio > MOST_INCONSISTENT).then(|| Reason::instrument(Code::Inconsistent, why))
 }
 
-/// Where the cells without a point look, and those whose point was `dropped`: camera frame, at any length.
+/// Rays of the cells without a point, and of those whose point was `dropped`: camera frame, not normalised.
 pub(crate) fn rays_without_point<'a>(
     decoder: &'a Decoder,
     decoded: &'a Decoded,
@@ -642,8 +640,8 @@ pub(crate) fn rays_without_point<'a>(
     directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
 }
 
-/// Part of the cells with fringes whose frames contradict each other. Where frequencies disagree frames are not asked; the few
-/// cells that are left of such a view are not what it is like.
+/// Fraction of the cells with fringes whose frames are inconsistent. Cells whose frequencies disagree are not tested for it, and
+/// the few remaining cells of such a view are not representative.
 fn inconsistent_ratio(decoded: &Decoded) -> f64 {
     let [lost, disagreeing] = [decoded.rejected.inconsistent, decoded.rejected.disagreeing];
     lost as f64 / (lost + disagreeing + decoded.cloud.len()).max(1) as f64
@@ -657,7 +655,7 @@ fn summary(
 ) -> ViewRegistration {
     let moved =
         registration.tool_from_cloud.isometry() * place.tool_from_camera.isometry().inverse();
-    // How far the middle of the cloud moved: the motion of the origin would show the turn times 40 mm.
+    // Shift of the cloud's centre; the shift of the origin would include the rotation times 40 mm.
     let centre = nalgebra::Point3::from(registration.centre_mm);
     let shift = centre - moved.inverse() * centre;
     let (status, reason) = match &registration.status {

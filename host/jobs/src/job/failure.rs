@@ -1,4 +1,4 @@
-//! Failures of frames, controller and camera as reasons of a verdict.
+//! Converts failures of frames, controller and camera to reasons of a verdict.
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::head::Unfit;

@@ -1,12 +1,11 @@
-//! What every job shares: a subject, the plan of its views, and the threads that make an outcome of each view's frames.
+//! Common parts of every job: a subject, the plan of its views, and the threads that evaluate the frames of each view.
 //!
-//! The frames come from one of two [`Source`]s. Checks and scans differ only in how they plan, what they make of a view, and how
-//! they conclude.
+//! Frames come from one of two [`Source`]s. Checks and scans differ only in planning, evaluation of a view, and conclusion.
 //!
 //! | file | holds |
 //! |---|---|
 //! | `failure` | errors of frames, controller and head as reasons of a verdict |
-//! | `recording` | frames of a job written as a recording, and recorded frames as a source |
+//! | `recording` | writes the frames of a job as a recording, and reads recorded frames as a source |
 
 mod failure;
 mod recording;
@@ -31,7 +30,7 @@ use flankscope_record::origin::Setting;
 pub(crate) use failure::{stopped, view_lost};
 pub use recording::{RecordError, RecordedFrames, recording_id};
 
-/// A job with its threads running. `O` is the outcome of one view.
+/// A job with running threads. `O` is the outcome of one view.
 #[derive(Debug)]
 pub struct Job<O> {
     pub(crate) subject: Subject,
@@ -39,20 +38,20 @@ pub struct Job<O> {
     pub(crate) setting: Setting,
     pub(crate) plan: Arc<ViewPlan>,
     pub(crate) acquisition: Acquisition<O>,
-    /// Program that is asked where the camera stands; checks only, where the station file names one.
+    /// Program that states the camera poses; for checks only, if the station file names one.
     pub(crate) poses: Option<PoseProgram>,
 }
 
-/// Where the frames of a job come from.
+/// Source of a job's frames.
 pub(crate) enum Source<'a> {
     /// A controller that is ready, and the camera that it triggers.
     Live(&'a mut Client),
-    /// A folder of frames that were recorded.
+    /// A folder of recorded frames.
     Recorded(&'a mut RecordedFrames),
 }
 
 impl Source<'_> {
-    /// Firmware of the controller, where there is one.
+    /// Firmware version of the controller, if there is one.
     pub fn firmware(&self) -> Option<[u8; 3]> {
         match self {
             Self::Live(client) => Some(client.identity().firmware),
@@ -62,7 +61,7 @@ impl Source<'_> {
 }
 
 impl<O: Send + 'static> Job<O> {
-    /// Starts the threads. Frames come from the camera process below `camera`, without one from a recording.
+    /// Starts the threads. Frames come from the camera process below `camera`, or from a recording if this is `None`.
     pub(crate) fn start(
         subject: Subject,
         setting: Setting,
@@ -101,7 +100,7 @@ impl<O: Send + 'static> Job<O> {
         views.map(|view| features.name(view.tooth)).collect()
     }
 
-    /// Why the head must not judge frames of this source, if so: frames are as good as the head was on the day of their capture.
+    /// Why the head must not judge frames of this source, if so. For recorded frames, the head's validity on the day of capture counts.
     pub(crate) fn unfit(&self, source: &Source<'_>) -> Option<Reason> {
         let taken = match source {
             Source::Live(_) => None,
@@ -110,7 +109,7 @@ impl<O: Send + 'static> Job<O> {
         self.unfit_on(taken)
     }
 
-    /// Why the head must not judge what was captured on this day, today if it is not known.
+    /// Why the head must not judge frames captured on this day; `None` means today.
     pub(crate) fn unfit_on(&self, day: Option<Date>) -> Option<Reason> {
         let fit = self.subject.head.fit_on(day.unwrap_or_else(Date::today));
         fit.err().as_ref().map(failure::unfit)
@@ -130,7 +129,7 @@ pub(crate) async fn connect<O: Send + 'static>(
     Ok(client)
 }
 
-/// What drives the I/O of a job, on the calling thread.
+/// Runtime for the I/O of a job, on the calling thread.
 pub(crate) fn runtime() -> Result<Runtime, AcquisitionError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

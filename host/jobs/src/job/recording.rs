@@ -1,4 +1,4 @@
-//! Frames of a job written as a recording, and recorded frames as the source of a job.
+//! Writes the frames of a job as a recording, and reads recorded frames as the source of a job.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -27,11 +27,11 @@ pub fn recording_id(recording: &Recording) -> RecordingId {
 /// The captures of a recording that a job has not played yet.
 #[derive(Debug)]
 pub struct RecordedFrames {
-    /// Every capture with its view of the plan, in the order in which they were taken.
+    /// Every capture with its view of the plan, in the order of capture.
     pub(crate) captures: Vec<(usize, RecordedView)>,
-    /// Day on which they were taken, where the index says it.
+    /// Day of capture, if the index states it.
     pub(super) taken: Option<Date>,
-    /// Cycles of the press, by the controller's counter.
+    /// Press cycles by the controller's counter.
     pub(crate) press_cycles: u32,
 }
 
@@ -44,7 +44,7 @@ impl RecordedFrames {
         }
     }
 
-    /// Takes the next capture of each of these views that has one left, in the order in which they were taken.
+    /// Takes the next capture of each of these views that has one left, in the order of capture.
     pub(crate) fn next_of(&mut self, views: &[usize]) -> Vec<(usize, RecordedView)> {
         let mut wanted: BTreeSet<usize> = views.iter().copied().collect();
         let next = |(view, _): &mut (usize, RecordedView)| wanted.remove(view);
@@ -52,16 +52,16 @@ impl RecordedFrames {
     }
 }
 
-/// Why frames that were saved are not a recording.
+/// Why saved frames could not be made a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("the frames are not recorded: cannot write {}: {source}", path.display())]
     Write {
         /// File or folder.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         source: std::io::Error,
     },
     /// Index or plan cannot be written as TOML.
@@ -69,12 +69,12 @@ pub enum RecordError {
     Toml(#[from] toml::ser::Error),
 }
 
-/// `PLAN.toml` of a recording: which patterns its frames are of.
+/// `PLAN.toml` of a recording: the patterns of its frames.
 #[derive(serde::Serialize)]
 struct PlanOfFrames<'a> {
-    /// Of a set that the instrument knows.
+    /// Name of a pattern set known to the instrument.
     pattern_set: Option<&'a str>,
-    /// Of any other.
+    /// Name of any other set.
     name: Option<&'a str>,
     exposures_us: &'a [u32],
     dark_first: bool,
@@ -98,7 +98,7 @@ impl<'a> From<&'a ViewPlan> for PlanOfFrames<'a> {
 }
 
 impl<O: Send + 'static> Job<O> {
-    /// Has the frames of every capture that follows written into `folder`, which exists.
+    /// Also writes the frames of all following captures into `folder`, which must exist.
     ///
     /// # Errors
     /// A thread ended early.
@@ -106,8 +106,8 @@ impl<O: Send + 'static> Job<O> {
         self.acquisition.save_frames(folder)
     }
 
-    /// Writes plan and index of the captures that were saved in `folder`, which makes a recording of them. `head` is the head's
-    /// file in it, `note` adds to the index what only a check or only a scan knows.
+    /// Writes plan and index of the captures that were saved in `folder`, which makes it a recording. `head` is the head file in
+    /// it; `note` adds index entries specific to a check or scan.
     pub(crate) fn write_recording(
         &mut self,
         folder: &Path,

@@ -1,8 +1,8 @@
-//! What a head sees: how wide and how far away, by its own file.
+//! Field of view of a head: its width and distance, by the head file.
 
 use flankscope_profilometry::HeadModel;
 
-/// The head file does not say where it measures.
+/// The head file has no measuring volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("[volume] in the head file is missing; a check needs it (see docs/formats)")]
 pub struct NoVolume;
@@ -10,22 +10,22 @@ pub struct NoVolume;
 /// Field of view in the middle of a head's measuring volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FieldOfView {
-    /// Its diameter, mm, to a tenth: what is asked of a view must not hang on the last digits of a calibration.
+    /// Its diameter, mm, rounded to a tenth, so that the plan of a view does not depend on the last digits of a calibration.
     pub width_mm: f64,
-    /// From the camera's pinhole to the middle of the volume, mm: a turn of the head moves the surface by that much.
+    /// Distance from the camera's pinhole to the middle of the volume, mm: the lever by which a rotation of the head moves the surface.
     pub reach_mm: f64,
-    /// Half its width per distance.
+    /// Ratio of half its width to the distance.
     pub slope: f64,
-    /// Nearest and farthest distance from the pinhole at which a point can be measured, mm: the volume's depths, the farthest
-    /// at a corner of the field.
+    /// Nearest and farthest distance from the pinhole at which a point can be measured, mm: the depths of the volume, the
+    /// farthest one at a corner of the field.
     pub range_mm: [f64; 2],
 }
 
 impl FieldOfView {
-    /// Of a head; no head gets another one's.
+    /// The field of view of a head; there is no default.
     ///
     /// # Errors
-    /// The head file does not say where it measures.
+    /// The head file has no measuring volume.
     pub fn of(head: &HeadModel) -> Result<Self, NoVolume> {
         let volume = head.volume.ok_or(NoVolume)?;
         let reach_mm = 0.5 * (volume.near_mm + volume.far_mm);

@@ -1,4 +1,4 @@
-//! From the tool's critical teeth and the head's geometry to a plan of views.
+//! Plans views from the tool's critical teeth and the head's geometry.
 
 mod field;
 mod patch_view;
@@ -23,28 +23,28 @@ use flankscope_metrology::kinematics::{Moves, SweptVolume};
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::{Recipe, RecordedRecipe};
 
-/// All views of a check and how each is exposed.
+/// All views of a check, with patterns and exposures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewPlan {
     /// The views, in the tool file's order.
     pub views: Vec<PlannedView>,
-    /// Fringe patterns.
+    /// Fringe pattern set.
     pub patterns: PatternSet,
-    /// Share of all mirrors' light that each pass gives, where they are shown in passes; empty: once, by all mirrors.
+    /// Fraction of the light of all mirrors that each pass gives, if the patterns are shown in passes; empty: shown once by all mirrors.
     pub lit_ratios: Vec<f64>,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
-    /// The head's liquid lens, where frames are captured through it.
+    /// The head's liquid lens, if frames are captured through it.
     pub lens: Option<LensDrive>,
     /// The head's projectors, which show the patterns one after the other.
     pub projectors: usize,
     /// Whether a dark frame precedes each view.
     pub dark_frame: bool,
-    /// The sensor that counted, where it is not the one of the head's file.
+    /// The sensor, if it is not the one in the head file.
     pub sensor: Option<Sensor>,
-    /// Upper face of the die, mm.
+    /// Height of the die's upper face, mm.
     pub top_mm: f64,
-    /// Where the camera stood, where a pose table or a pose program states it instead of the stages.
+    /// Poses stated by a pose table or pose program, used instead of the stages'.
     pub stated: StatedPoses,
 }
 
@@ -52,24 +52,24 @@ pub struct ViewPlan {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanningError {
-    /// The tool file says nothing about teeth.
+    /// The tool file has no teeth.
     #[error(
         "the tool has no [gear] and [inspect] section; a check of flanks and a scan need both, and [[patch]] tables are for inspect \
          (see docs/formats/tool.md)"
     )]
     NoGear,
-    /// A patch that the head cannot look at.
+    /// The head cannot see a patch.
     #[error(transparent)]
     Patch(#[from] PatchViewError),
-    /// No teeth to inspect.
+    /// No teeth to inspect are named.
     #[error(
         "no tooth is to be inspected; name some with --teeth or in the tool file's inspect.teeth"
     )]
     NoTeeth,
-    /// A tooth that the gear does not have.
+    /// The gear has no tooth of this number.
     #[error("tooth {got} is not on this gear; it has teeth 1 to {teeth}")]
     NoSuchTooth {
-        /// Asked for.
+        /// Requested number.
         got: u32,
         /// Teeth of the gear.
         teeth: u32,
@@ -80,15 +80,15 @@ pub enum PlanningError {
         /// The tooth.
         got: u32,
     },
-    /// Which patch a recorded view shows is not said.
+    /// The recording does not state which patch a view shows.
     #[error(
         "view {view} of the recording does not say which patch it shows; give the patch's place in the tool file as its `tooth`"
     )]
     Unnamed {
-        /// Which of the index's.
+        /// Number of the view in the index.
         view: usize,
     },
-    /// Index and drawing differ.
+    /// The index and the drawing disagree on the tooth in the middle of a view.
     #[error(
         "view {view} of the recording is of tooth {said}, but its angle has tooth {seen} in the middle; leave one of the two out, \
          or correct it"
@@ -96,12 +96,12 @@ pub enum PlanningError {
     OtherTooth {
         /// View, from 1.
         view: usize,
-        /// As the index says.
+        /// Tooth in the index.
         said: u32,
-        /// By its angle.
+        /// Tooth by the angle.
         seen: u32,
     },
-    /// Two captures of a tooth that are no repetition.
+    /// Two captures of a tooth are from different positions, so the second is no repetition.
     #[error(
         "tooth {tooth} is in the recording twice, from two places; a second capture of a view is taken from the place of the first"
     )]
@@ -116,11 +116,11 @@ pub enum PlanningError {
          or gear.kind and tip_radius_mm of the tool file", heights_mm[0], heights_mm[1]
     )]
     TouchesOutside {
-        /// Window nearest to the axis, mm.
+        /// Smallest distance of the window from the axis, mm.
         nearest_mm: f64,
         /// Radius of the tooth tips, mm.
         tip_mm: f64,
-        /// Heights that are swept, mm.
+        /// Heights that the head passes, mm.
         heights_mm: [f64; 2],
     },
     /// The head would touch the teeth on its way.
@@ -129,25 +129,25 @@ pub enum PlanningError {
          between {} and {} mm of height; correct stage_from_camera of the head file or tip_radius_mm of the tool file", heights_mm[0], heights_mm[1]
     )]
     Touches {
-        /// Farthest window from the axis, mm.
+        /// Largest distance of the window from the axis, mm.
         reach_mm: f64,
         /// Radius of the tooth tips, mm.
         bore_mm: f64,
-        /// Heights that are swept, mm.
+        /// Heights that the head passes, mm.
         heights_mm: [f64; 2],
     },
     /// Too many views for one plan.
     #[error("{got} teeth are too many for one check; at most {limit}")]
     TooMany {
-        /// Asked for.
+        /// Number of views.
         got: usize,
         /// Most views of a plan.
         limit: usize,
     },
-    /// The head file names no patterns or exposures.
+    /// The head file has no patterns or exposures.
     #[error("the head file has no {what}; a check needs it (see docs/formats/head.md)")]
     HeadLacks {
-        /// What is missing.
+        /// The missing entry.
         what: &'static str,
     },
     /// The pattern set's name is unknown.
@@ -159,7 +159,7 @@ impl ViewPlan {
     /// The views for the tool's critical teeth, or for `teeth` instead.
     ///
     /// # Errors
-    /// Teeth that are not there, or a tool or head file without what a check needs.
+    /// A tooth does not exist, or the tool or head file lacks an entry.
     pub fn new(
         tool: &Tool,
         head: &HeadModel,
@@ -197,7 +197,7 @@ impl ViewPlan {
         })
     }
 
-    /// What is shown in other light.
+    /// The same plan with the patterns shown in other light.
     pub(crate) fn lit(mut self, light: PatternLight) -> Self {
         self.lit_ratios = light.lit_ratios;
         self
@@ -210,10 +210,10 @@ impl ViewPlan {
         }
     }
 
-    /// Where the stages stand to have each of these teeth, or patches, in the middle of a view.
+    /// Positions of the stages that centre each of these teeth or patches in a view.
     ///
     /// # Errors
-    /// None, such that are not there, or that the head does not see.
+    /// None are named, or some do not exist or are not visible to the head.
     pub(crate) fn looking_at(
         tool: &Tool,
         head: &HeadModel,
@@ -225,10 +225,10 @@ impl ViewPlan {
         }
     }
 
-    /// Where the stages stand to have each of these teeth in the middle of a view.
+    /// Positions of the stages that centre each of these teeth in a view.
     ///
     /// # Errors
-    /// No teeth, or such that are not there.
+    /// No teeth are named, or some do not exist.
     pub fn nominal(tool: &Tool, teeth: &[u32]) -> Result<Vec<PlannedView>, PlanningError> {
         let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else {
             return Err(PlanningError::NoGear);
@@ -259,7 +259,7 @@ impl ViewPlan {
         Ok(views)
     }
 
-    /// Where the stages stand to have each of these patches in the middle of a view.
+    /// Positions of the stages that centre each of these patches in a view.
     fn of_patches(
         tool: &Tool,
         head: &HeadModel,
@@ -281,7 +281,7 @@ impl ViewPlan {
         Ok(views)
     }
 
-    /// Views of a recording, exposed as its plan says.
+    /// Views of a recording, with patterns and exposures of its plan.
     pub(crate) fn of_recording(
         recording: &Recording,
         views: Vec<PlannedView>,
@@ -339,11 +339,10 @@ impl ViewPlan {
         })
     }
 
-    /// Looks whether the space that a head takes on its way through the views is free.
+    /// Checks that the head has enough space on its way through the views.
     ///
     /// # Errors
-    /// It is not free: the head would touch the teeth, an internal gear's from inside or an external one's from outside, or the
-    /// CAD that patches are on.
+    /// The head would touch the teeth (of an internal gear from inside, of an external one from outside) or the CAD with the patches.
     pub(crate) fn check_way(
         &self,
         tool: &Tool,
@@ -368,7 +367,7 @@ impl ViewPlan {
         let moves = settings.stages.moves;
         let Some(gear) = &tool.gear else {
             return match moves {
-                // Whoever carries the head knows its way.
+                // The external positioner is responsible for a free way.
                 Moves::Outside => Ok(()),
                 Moves::Die | Moves::Head => Ok(patch_view::check_way(
                     tool,
@@ -405,10 +404,10 @@ impl ViewPlan {
         }
     }
 
-    /// What makes points of its frames; with a mask, every point says how much the fringes oscillate around it.
+    /// Decoder of its frames; with a mask, every point has the fringe modulation of its neighbourhood.
     ///
     /// # Errors
-    /// The head cannot decode these patterns.
+    /// The head file does not fit these patterns.
     pub fn decoder(
         &self,
         head: &HeadModel,
@@ -439,7 +438,7 @@ impl ViewPlan {
     /// Takes the poses of all views from a table.
     ///
     /// # Errors
-    /// One is missing, or none to be trusted.
+    /// A pose is missing or cannot be used.
     pub(crate) fn take_poses(
         &self,
         table: &PoseTable,
@@ -452,7 +451,7 @@ impl ViewPlan {
         Ok(())
     }
 
-    /// What it asks of stages, projector and camera.
+    /// The acquisition program: stage positions, patterns and exposures.
     pub(crate) fn program(&self, settings: &StationSettings) -> Program {
         let position = |view: &PlannedView| {
             StagePosition::of(view.rotation_rad, view.vertical_mm, &settings.stages)
@@ -475,7 +474,7 @@ impl ViewPlan {
     }
 }
 
-/// The turns of views.
+/// The rotation angles of views.
 fn angles_of(views: &mut [PlannedView]) -> Vec<&mut f64> {
     views.iter_mut().map(|v| &mut v.rotation_rad).collect()
 }
@@ -486,15 +485,15 @@ fn wrapped(angle_rad: f64) -> f64 {
     angle_rad - (angle_rad / turn).round() * turn
 }
 
-/// Turns angles within half a turn either way by a whole turn where that takes them nearer to the others: neighbours on both
-/// sides of the half turn are then a step apart, not a turn.
+/// Shifts angles within ±π by a whole turn if that brings them nearer to the others: neighbours on both sides of ±π are then one
+/// step apart, not a turn.
 fn close_ranks(angles_rad: &mut [&mut f64]) {
     let turn = std::f64::consts::TAU;
     angles_rad.sort_by(|a, b| a.total_cmp(b));
     let (Some(first), Some(last)) = (angles_rad.first(), angles_rad.last()) else {
         return;
     };
-    // Where no angle is for longest; across the half turn unless clearly elsewhere.
+    // The largest gap between angles; at ±π unless another gap is clearly larger.
     let (mut widest, mut after) = (**first + turn - **last + 1e-6, 0);
     for (at, pair) in angles_rad.windows(2).enumerate() {
         let gap = *pair[1] - *pair[0];
@@ -503,7 +502,7 @@ fn close_ranks(angles_rad: &mut [&mut f64]) {
         }
     }
     let (below, above) = angles_rad.split_at_mut(after);
-    // Those on the side with fewer go round, so that the stage stays about its middle.
+    // The smaller group is shifted, so that the stage stays near its middle.
     if below.len() < above.len() {
         below.iter_mut().for_each(|angle| **angle += turn);
     } else if after > 0 {

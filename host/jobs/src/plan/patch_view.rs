@@ -1,8 +1,8 @@
-//! Where the stages stand to look at a patch, and whether the head sees it from there.
+//! Positions of the stages for viewing a patch, and a check that the head sees it from there.
 //!
-//! Two axes bring the middle of the head's volume to the middle of the patch's zone: a turn, and a lift. What is left between them
-//! is how far the patch lies from the axis, which the head's place on the stage decides; whether the zone then lies in the head's
-//! field and depth and faces it is checked here, before anything moves.
+//! Two axes, rotation and height, bring the centre of the head's volume to the centre of the patch's zone. The remaining distance
+//! is how far the patch lies from the axis, which the head's mounting on the stage determines. Whether the zone lies in the
+//! head's field and depth and faces it is checked here, before anything moves.
 
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage};
 use flankscope_metrology::patch::Patch;
@@ -15,26 +15,26 @@ use super::field::FieldOfView;
 use flankscope_metrology::kinematics::tool_from_camera;
 use flankscope_metrology::view::PlannedView;
 
-/// A patch that turns farther away from the head than this is hardly lit, degrees from its normal. Flanks are seen at 60.
+/// Largest angle between viewing direction and a patch's normal, degrees: beyond it the patch is hardly lit. Flanks are seen at 60.
 const MOST_SLANT_DEG: f64 = 75.0;
-/// The head's windows stay so far from the CAD, mm.
+/// Smallest distance of the head's windows from the CAD, mm.
 const CLEAR_MM: f64 = 0.5;
-/// The way is looked at in steps of so much, mm.
+/// Step along the way at which distances are checked, mm.
 const STEP_MM: f64 = 1.0;
 
-/// Why a patch cannot be looked at.
+/// Why a patch cannot be viewed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PatchViewError {
-    /// No such patch, or one that is not judged.
+    /// The patch does not exist, or is not judged.
     #[error("{got} is no patch that is judged; the tool file has {}", numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", "))]
     NoSuchPatch {
-        /// Asked for.
+        /// Requested number.
         got: u32,
-        /// Those that are judged.
+        /// Numbers of the judged patches.
         numbers: Vec<u32>,
     },
-    /// Too near or too far.
+    /// The zone is too near or too far.
     #[error(
         "patch {name:?} lies outside the measuring volume: its zone is {:.2} to {:.2} mm from the camera, the head measures from {:.2} to {:.2} mm; \
          move the head (stage_from_camera of the head file) or the die nearer to or farther from the axis", depth_mm[0], depth_mm[1], volume_mm[0], volume_mm[1]
@@ -42,12 +42,12 @@ pub enum PatchViewError {
     Depth {
         /// Patch.
         name: String,
-        /// Nearest and farthest corner of its zone.
+        /// Distances of the nearest and farthest corner of its zone.
         depth_mm: [f64; 2],
-        /// Volume of the head.
+        /// Depths of the head's volume.
         volume_mm: [f64; 2],
     },
-    /// Larger than the field, or beside it.
+    /// The zone is larger than the field, or beside it.
     #[error(
         "patch {name:?}: its zone reaches {reach_mm:.2} mm from the middle of the head's field, which is {field_mm:.2} mm in radius there; \
          one view shows one patch: name several smaller ones"
@@ -55,22 +55,22 @@ pub enum PatchViewError {
     Field {
         /// Patch.
         name: String,
-        /// Farthest corner.
+        /// Distance of the farthest corner from the field's centre.
         reach_mm: f64,
         /// The field's radius at its depth.
         field_mm: f64,
     },
-    /// Turned away.
+    /// The patch faces away.
     #[error(
         "patch {name:?} faces away: the head sees it at {slant_deg:.0} degrees from its normal, at most {MOST_SLANT_DEG} are possible"
     )]
     TurnedAway {
         /// Patch.
         name: String,
-        /// Angle between view and normal.
+        /// Angle between viewing direction and normal.
         slant_deg: f64,
     },
-    /// The die is in the head's way.
+    /// The head would come too near to the die.
     #[error(
         "the head's window comes within {off_mm:.1} mm of the CAD at ({:.1}, {:.1}, {:.1}) mm on its way through the views, {CLEAR_MM} mm are needed; \
          correct stage_from_camera of the head file, or name fewer patches", at_mm[0], at_mm[1], at_mm[2]
@@ -78,15 +78,15 @@ pub enum PatchViewError {
     InTheWay {
         /// Distance from the CAD, negative inside.
         off_mm: f64,
-        /// Where, tool frame.
+        /// Position in the tool frame.
         at_mm: [f64; 3],
     },
 }
 
-/// Where the stages stand to have each of these patches in the middle of a view.
+/// Positions of the stages that centre each of these patches in a view.
 ///
 /// # Errors
-/// A patch that is not judged, or that the head does not see.
+/// A patch is not judged, or not visible to the head.
 pub(crate) fn nominal(
     tool: &Tool,
     head: &HeadModel,
@@ -109,10 +109,10 @@ pub(crate) fn nominal(
     numbers.iter().map(view).collect()
 }
 
-/// Whether every view, from where the stages stood for it, shows the patch that it is said to be of.
+/// Checks that every view shows the patch that it is assigned to, from the positions of the stages.
 ///
 /// # Errors
-/// A patch that is not judged, or that the head does not see from there.
+/// A patch is not judged, or not visible to the head from there.
 pub(crate) fn check_seen(
     tool: &Tool,
     head: &HeadModel,
@@ -125,7 +125,7 @@ pub(crate) fn check_seen(
     Ok(())
 }
 
-/// What the head sees, and from where.
+/// Pose and field of the head.
 struct Eye {
     field: FieldOfView,
     volume_mm: [f64; 2],
@@ -155,7 +155,7 @@ fn judged(tool: &Tool, number: u32) -> Result<&Patch, PatchViewError> {
     })
 }
 
-/// The zone lies in field and depth, and faces the head.
+/// Checks that the zone lies in field and depth, and faces the head.
 fn seen(patch: &Patch, planned: &PlannedView, eye: &Eye) -> Result<(), PatchViewError> {
     let Eye {
         field,
@@ -206,8 +206,8 @@ fn seen(patch: &Patch, planned: &PlannedView, eye: &Eye) -> Result<(), PatchView
     Ok(())
 }
 
-/// The head's windows clear the CAD wherever both axes may be between the views and above them: each may be anywhere on its way
-/// while the other is.
+/// Checks that the head's windows clear the CAD at all combinations of both axes between and above the views, because the axes
+/// move at the same time.
 ///
 /// # Errors
 /// They do not.

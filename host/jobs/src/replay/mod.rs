@@ -1,4 +1,4 @@
-//! A stored verdict, computed again from its phasors, and every difference by name.
+//! Computes a stored verdict again from its phasors and lists every difference.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use flankscope_record::history::{Difference, History, HistoryError, row_differen
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// Its row, its document, its phasors or its baseline are not there, or not what was stored.
+    /// Its row, document, phasors or baseline are missing, or differ from what was stored.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// The baseline is not the one that was stored.
+    /// The baseline is not the stored one.
     #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
     Baseline {
-        /// Check.
+        /// Number of the check.
         id: i64,
         /// Its BLAKE3.
         expected: String,
@@ -41,23 +41,23 @@ pub enum ReplayError {
         /// Cause.
         source: PhasorsError,
     },
-    /// No views from this tool and head.
+    /// No plan of views follows from this tool and head.
     #[error(transparent)]
     Planning(#[from] PlanningError),
     /// The head model cannot decode.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// The tool cannot be evaluated.
+    /// The tool or head lacks data for the evaluation.
     #[error(transparent)]
     Evaluator(#[from] EvaluatorError),
 }
 
-/// A check computed again.
+/// Result of a replay.
 #[derive(Clone, Debug, Serialize)]
 pub struct Replay {
     /// Its number.
     pub id: i64,
-    /// Where the check comes from, as its document says.
+    /// Origin of the check, by its document.
     #[serde(flatten)]
     pub origin: BTreeMap<&'static str, Value>,
     /// The stored verdict.
@@ -68,13 +68,13 @@ pub struct Replay {
     pub reason: String,
     /// Captures that it was computed from.
     pub captures: usize,
-    /// Releases that are not those of the check; they explain a difference, but are none.
+    /// Software versions that differ from those of the check; they may explain a difference, but do not count as one.
     pub versions: Vec<Difference>,
-    /// What differs; none when every figure is the same to the last bit.
+    /// All differences; empty if every value is equal to the last bit.
     pub differences: Vec<Difference>,
 }
 
-/// What a document says of where its check comes from.
+/// Keys of a document that state the origin of its check.
 const ORIGIN: [&str; 8] = [
     "link",
     "simulated",
@@ -86,7 +86,7 @@ const ORIGIN: [&str; 8] = [
     "date",
 ];
 
-/// What a replay reads of the stored document.
+/// Entries of the stored document that a replay reads.
 #[derive(Deserialize)]
 struct Stored {
     verdict: Word,
@@ -98,11 +98,11 @@ struct Stored {
 }
 
 impl Replay {
-    /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline
-    /// are those of the check.
+    /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline are
+    /// those of the check.
     ///
     /// # Errors
-    /// Something that the verdict was computed from is missing or damaged.
+    /// Data of the verdict are missing or damaged.
     pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
         let in_document = |source| HistoryError::Stored { id, source };
         let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
@@ -174,7 +174,7 @@ impl Replay {
             ("missing_teeth", json!(found.missing_teeth)),
             ("tooth_identity", json!(found.tooth_identity)),
         ] {
-            // Absent where there is nothing to say.
+            // An absent entry means the same as null or an empty list.
             let is_nothing = said.is_null() || said.as_array().is_some_and(Vec::is_empty);
             if !is_nothing || document.get(key).is_some() {
                 now[key] = said;
@@ -219,7 +219,7 @@ fn baseline(history: &History, blake3: &str) -> Result<Option<Baseline>, History
     Ok(text.and_then(read).filter(|b| b.hash() == blake3))
 }
 
-/// Every leaf that is not the same. How long something took is no finding.
+/// Lists every leaf that differs, except durations.
 fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Difference>) {
     match (stored, now) {
         (Value::Object(a), Value::Object(b)) => {
@@ -245,7 +245,7 @@ fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Differ
     }
 }
 
-/// Numbers are compared as they are, to the last bit.
+/// Numbers must be equal to the last bit.
 fn same(a: &Value, b: &Value) -> bool {
     match (a.as_f64(), b.as_f64()) {
         (Some(a), Some(b)) => a.to_bits() == b.to_bits(),

@@ -1,19 +1,18 @@
-//! How well a scan knows the mean size of the bore.
+//! Uncertainty of the mean bore size in a scan.
 //!
-//! Views of a bore that is larger all around lie on the CAD as those of a head that stands farther from the wall do, and the
-//! head's distance is known to no better than half a millimetre: poses take up the size as a whole, and the map shows none of it.
-//! What tells it is the pitch. Of teeth at a larger radius the views see the distances larger by the same share, within what the
-//! head's calibration leaves of its lateral scale.
+//! Views of a bore that is larger all around look like those of a head farther from the wall, and the head's distance is known
+//! only to half a millimetre: the poses absorb the size completely, and the map does not show it. The pitch does: teeth at a
+//! larger radius are farther apart by the same ratio, to within the uncertainty of the head's lateral scale.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::HEAD_SIGMA_MM;
 
-/// Standard uncertainty of the mean radius as the map has it, that of the CAD, mm. `stretch` is the share by which the teeth stand
-/// farther apart than the CAD's, `lateral_mm` the standard uncertainty of a point across the view by the calibration, which may
-/// all be scale, at the edge of the field.
+/// Standard uncertainty of the map's mean radius, which equals that of the CAD, mm. `stretch` is the relative excess of the
+/// teeth's distances over the CAD's; `lateral_mm` is the standard uncertainty of a point across the view due to the calibration,
+/// which may be entirely scale, at the edge of the field.
 ///
-/// What was found of the size counts as uncertainty: nothing corrects the map for it. Without a figure of the pitch the size is
-/// known as the head's distance is.
+/// The measured stretch counts as uncertainty, because the map is not corrected for it. Without a value of the pitch, the
+/// uncertainty of the size is that of the head's distance.
 pub(super) fn size_sigma_mm(
     gear: &GearData,
     stretch: Option<f64>,
@@ -44,9 +43,9 @@ mod tests {
             radial_threshold_mm: 50.0,
         };
         let um = |stretch, lateral_mm| 1e3 * size_sigma_mm(&gear, stretch, lateral_mm, 5.0);
-        // 40 mm of pitch radius: 1 um at 5 mm is 8 um there.
+        // 40 mm of pitch radius: 1 µm at 5 mm corresponds to 8 µm there.
         assert!((um(Some(0.0), 1e-3) - 8.0).abs() < 1e-9);
-        // Teeth 6e-4 farther apart are 24 um farther out.
+        // Teeth farther apart by 6e-4 are 24 µm farther out.
         assert!((um(Some(6e-4), 0.0) - 24.0).abs() < 1e-9);
         assert!((um(Some(-6e-4), 1e-3) - 24f64.hypot(8.0)).abs() < 1e-9);
         assert!((um(None, 1e-3) - 500.0).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! A view's points on the CAD, gathered by the cells of the unrolled bore.
+//! A view's points on the CAD, collected in the cells of the unrolled bore.
 
 use std::collections::BTreeMap;
 
@@ -15,11 +15,11 @@ use nalgebra::Vector3;
 
 use super::view::KeptView;
 
-/// Cells around per tooth, and their height, mm.
+/// Cells around the bore per tooth, and their height, mm.
 const COLUMNS_PER_TOOTH: usize = 24;
 const ROW_MM: f64 = 0.25;
 
-/// The grid over a gear's bore.
+/// Cell grid of a gear's bore.
 pub(super) fn layout(gear: &GearData) -> Layout {
     let [low, high] = gear.height_mm;
     Layout {
@@ -35,13 +35,13 @@ pub(super) struct Laid<'a> {
     surface: &'a Surface,
     kept: &'a KeptView,
     tool_from_camera: CameraPose,
-    /// Where the points lie, tool frame, mm.
+    /// Positions of the points, tool frame, mm.
     located: Vec<[f64; 3]>,
     closest: Vec<Closest>,
 }
 
 impl<'a> Laid<'a> {
-    /// Lays points on the surface.
+    /// Places points on the surface.
     pub fn new(surface: &'a Surface, tool_from_camera: CameraPose, kept: &'a KeptView) -> Self {
         let located: Vec<[f64; 3]> = kept
             .points
@@ -57,7 +57,7 @@ impl<'a> Laid<'a> {
         }
     }
 
-    /// What the view says of the cells.
+    /// The view's contribution to the cells.
     pub fn cell_observations(&self, layout: &Layout) -> Vec<CellObservation> {
         let sigma_mm = self.sigma_mm();
         cell_observations(layout, &self.closest, &sigma_mm)
@@ -67,7 +67,7 @@ impl<'a> Laid<'a> {
         self.kept.points.iter().map(|point| point[3]).collect()
     }
 
-    /// What the view saw of every flank; the head measures at distances of `range_mm`.
+    /// Points of the view on every flank; the head measures at distances of `range_mm`.
     pub fn flanks(&self, gear: &GearData, range_mm: [f64; 2]) -> BTreeMap<(u32, Flank), FlankView> {
         let sigma_mm = self.sigma_mm();
         let directions = self.kept.without_point.iter();
@@ -84,7 +84,7 @@ impl<'a> Laid<'a> {
             sight: Some(Sight {
                 surface: self.surface,
                 camera_mm: self.tool_from_camera.isometry().translation.vector.into(),
-                // Their light is not kept: nothing bounds what they met.
+                // The brightness of these rays is not stored, so they give no bound on the surface.
                 dark: &without_point,
                 undecoded: &[],
                 range_mm,
@@ -93,7 +93,7 @@ impl<'a> Laid<'a> {
         FlankView::by_flank(gear, measured)
     }
 
-    /// What the view says of its pose.
+    /// The view's information on its pose.
     pub fn information(&self, at: Pose) -> Option<ViewInformation> {
         compress_laid(&self.located, &self.closest, at, self.tool_from_camera)
     }

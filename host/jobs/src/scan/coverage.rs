@@ -1,4 +1,4 @@
-//! Planned flank fields that were not seen: a flank without points is never a go.
+//! Planned fields of flanks that were not measured: a flank without points is never a "go".
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,35 +9,35 @@ use serde::Serialize;
 
 use flankscope_metrology::view::PlannedView;
 
-/// A field of which less than this share was seen is a hole. Some five cells lie across a judged flank, of which a die that
-/// stands askew hides one or two at an edge.
+/// Smallest fraction of a field that must be measured; below it the field is a hole. About five cells lie across a judged flank;
+/// a tilted die hides one or two of them at an edge.
 pub(super) const LEAST_COVERAGE: f64 = 0.6;
-/// A view answers for at most so much of its tooth above and below its middle, of the width of its field: where every tooth is in
-/// the middle of one, layers no farther apart than twice this answer for everything between them. Beyond, the round rims of
-/// the fields leave slivers of flanks unseen that no view beside them shows.
+/// Height above and below its middle that a view must cover of its tooth, as a fraction of the field's width. If every tooth is
+/// in the middle of a view, layers at most twice this apart cover everything between them. Farther out, the round rims of the
+/// fields leave parts of flanks unmeasured that no neighbouring view shows.
 pub(super) const ASKED_PER_FIELD: f64 = 0.4;
 
-/// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height. A scan is for the teeth
-/// and heights that it looked at and says nothing of the others.
+/// Fields that the plan requires: both flanks of every view's middle tooth, over the view's height. A scan applies only to the
+/// teeth and heights of its views.
 #[derive(Clone, Debug, Serialize)]
 pub struct Coverage {
-    /// How many.
+    /// Number of fields.
     pub fields: usize,
-    /// Teeth that were asked for and seen: both flanks, at every height asked for.
+    /// Requested teeth that were measured: both flanks, at every requested height.
     pub teeth: usize,
     /// Teeth of the gear.
     pub of_teeth: u32,
-    /// Heights asked for.
+    /// Number of requested heights.
     pub heights: usize,
-    /// Least share of a field that has to be seen.
+    /// Smallest fraction of a field that must be measured.
     pub least_ratio: f64,
-    /// Share that was seen of the field of which least was seen.
+    /// Measured fraction of the field with the smallest coverage.
     pub worst_ratio: f64,
-    /// Those of which less was seen than has to be.
+    /// Fields with less coverage than required.
     pub holes: Vec<Hole>,
 }
 
-/// A field that was not seen.
+/// A field with too little coverage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hole {
     /// Tooth.
@@ -46,11 +46,11 @@ pub struct Hole {
     pub flank: Flank,
     /// Height of the view's middle, mm.
     pub vertical_mm: f64,
-    /// Share that was seen.
+    /// Fraction that was measured.
     pub seen_ratio: f64,
 }
 
-/// Cells of the map across a flank between two radii, by the gear's own involute.
+/// Number of map cells across a flank between two radii, by the gear's own involute.
 fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
     let [from, to] = radius_mm.map(|r| gear.half_tooth_rad(r.max(gear.base_radius_mm())));
     let span_rad = (to.unwrap_or(0.0) - from.unwrap_or(0.0)).abs();
@@ -58,7 +58,7 @@ fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
 }
 
 impl Coverage {
-    /// Counts the cells of every field between these radii.
+    /// Counts the measured cells of every field between these radii.
     pub(super) fn of(
         map: &CylinderMap,
         gear: &GearData,
@@ -68,7 +68,7 @@ impl Coverage {
     ) -> Self {
         let asked_mm = ASKED_PER_FIELD * field_mm;
         let layout = map.layout();
-        // Cells of every flank by row of the map.
+        // Measured cells of every flank by row of the map.
         let mut seen: BTreeMap<(u32, Flank), Vec<usize>> = BTreeMap::new();
         for cell in map.cells() {
             if let (Some(at), Some(row)) = (
@@ -126,8 +126,8 @@ impl Coverage {
         }
     }
 
-    /// What a verdict is for, in words; `height_ratio` is the share of these teeth's height that was judged, `bore_ratio` the
-    /// share of the bore that was seen.
+    /// The scope of a verdict, in words. `height_ratio` is the judged fraction of these teeth's height, `bore_ratio` the measured
+    /// fraction of the bore.
     #[must_use]
     pub fn looked_at(&self, height_ratio: f64, bore_ratio: f64) -> String {
         format!(
@@ -141,7 +141,7 @@ impl Coverage {
         )
     }
 
-    /// Why the scan cannot be a go, if it cannot: less was seen than was asked for.
+    /// Why the scan cannot be a "go", if so: less was measured than requested.
     pub(super) fn objection(&self) -> Option<Reason> {
         let first = self.holes.first()?;
         let why = format!(
@@ -158,7 +158,7 @@ impl Coverage {
     }
 }
 
-/// A share in percent; only all of it is 100.
+/// A fraction in percent; only a complete one is rounded to 100.
 #[must_use]
 pub fn percent(ratio: f64) -> String {
     let rounded = (1e3 * ratio).round() / 10.0;
@@ -187,7 +187,7 @@ mod tests {
         }
     }
 
-    /// Every flank seen at every height but for what `lost` says.
+    /// A map with every flank measured at every height except where `lost` is true.
     fn map(lost: impl Fn(u32, f64) -> bool) -> CylinderMap {
         let (layout, gear) = (
             Layout {
@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn a_map_of_which_little_is_seen_everywhere_is_no_go() {
-        // Every third row: no field is worse than another, and none was seen.
+        // Every third row is missing: all fields are equally bad, and none is sufficient.
         let sparse = of(&map(|_, z| !((z / 0.25) as usize).is_multiple_of(3)));
         assert_eq!(sparse.holes.len(), sparse.fields);
         assert!(sparse.objection().is_some());

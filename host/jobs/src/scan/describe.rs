@@ -1,4 +1,4 @@
-//! The stitched views to the document: registration, flanks, coverage, form, verdict.
+//! Writes the document of the stitched views: registration, flanks, coverage, form, verdict.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -22,13 +22,13 @@ use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 
-/// Fewer registered views than this share do not describe the die.
+/// Smallest fraction of registered views that describes the die.
 const LEAST_REGISTERED: f64 = 0.8;
-/// Flanks that a reason names, at most.
+/// Largest number of flanks that a reason lists.
 const MOST_NAMED: usize = 5;
 
 impl Scanner {
-    /// The document of what was stitched; `lost` says why views stayed lost.
+    /// The document of stitched views; `lost` gives the reasons of lost views.
     pub(super) fn describe(
         &self,
         mut stitched: Stitched,
@@ -113,7 +113,7 @@ impl Scanner {
         })
     }
 
-    /// Distances of teeth across the bore, where both were seen.
+    /// Distances of teeth across the bore, where both were measured.
     fn spacing(
         &self,
         map: &CylinderMap,
@@ -138,12 +138,12 @@ impl Scanner {
     }
 }
 
-/// How many of the planned views were laid on the CAD, and how well.
+/// Number of planned views that were registered to the CAD, and the quality of the solution.
 struct ViewCount<'a> {
     registered: usize,
     planned: usize,
     first_lost: Option<&'a Reason>,
-    /// Rounds after which they still moved against each other.
+    /// Number of rounds after which they had not converged.
     unsettled_after: Option<usize>,
 }
 
@@ -153,8 +153,7 @@ impl ViewCount<'_> {
     }
 }
 
-/// The verdict of a scan and one sentence about it, which says what was looked at. Without enough views that lie still nothing
-/// of it holds, a no-go included.
+/// The verdict of a scan and one sentence about it with its scope. Without enough converged views nothing is judged, not even a no-go.
 fn of_scan(
     verdicts: Vec<Verdict>,
     features: &[Feature],
@@ -244,7 +243,7 @@ fn registrations(
     planned.iter().enumerate().map(of_view).collect()
 }
 
-/// What all views say of die, head and stages.
+/// Common parameters of all views: errors of die, head and stages.
 fn shared_by_all(stitched: &Stitched, gear: &GearData) -> Adjustment {
     let adjustment = &stitched.adjustment;
     let stages = &adjustment.stages;

@@ -1,4 +1,4 @@
-//! Is it the CAD's die? Views of another one can lie on the CAD almost well, and would make a map that looks right.
+//! Tests whether the die is that of the CAD. Views of another die may almost fit the CAD and give a plausible but wrong map.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{Pose, Stages};
@@ -13,17 +13,17 @@ use super::stitch::Stitched;
 use super::view::{SAMPLE, coordinates};
 use flankscope_metrology::view::PlannedView;
 
-/// Teeth that stand farther apart or closer together than this, all the way round, are not the CAD's: 10 µm over half a field
-/// of view, ten times what a head's calibration leaves of scale.
+/// Largest relative excess of the teeth's distances over the CAD's, all around: 10 µm over half a field of view, ten times the
+/// scale error that a head's calibration leaves.
 const MOST_STRETCH: f64 = 2e-3;
 
-/// Views that are asked: their median is known to a tenth of what one view may be wrong by.
+/// Number of views used: their median is known to a tenth of the error of one view.
 const MOST_VIEWS: usize = 96;
 
-/// Where the teeth are must be clearly nearer to where stages and head file say than one tooth on.
+/// The teeth must be clearly nearer to the position by stages and head file than to one tooth further: largest ratio of these distances.
 const RIVAL_RATIO: f64 = 0.6;
 
-/// By what share the teeth stand farther apart than the CAD's: median over views all around; none when no view tells.
+/// Relative excess of the teeth's distances over the CAD's: median over views all around; `None` if no view gives a value.
 pub(super) fn stretch_of_views(
     stitched: &Stitched,
     session: &Session,
@@ -51,7 +51,7 @@ pub(super) fn stretch_of_views(
     Ok(found.get(found.len() / 2).copied())
 }
 
-/// Why the teeth cannot be the CAD's.
+/// Why the teeth cannot be those of the CAD.
 pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<Reason> {
     (stretch.abs() > MOST_STRETCH).then(|| {
         let teeth = f64::from(gear.teeth);
@@ -71,8 +71,8 @@ pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<Reason> {
     })
 }
 
-/// How far around the axis the views found the die from where stages and head file say, rad: mean over all places, so that
-/// eccentricity and encoder do not count.
+/// Rotation of the die about the axis relative to stages and head file, rad: mean over all views, so that eccentricity and
+/// encoder errors cancel.
 pub(super) fn turned_rad(
     found: &Stages,
     nominal: &Stages,
@@ -92,7 +92,7 @@ pub(super) fn turned_rad(
     turned.sum::<f64>() / planned.len().max(1) as f64
 }
 
-/// Why the teeth cannot be numbered: a tooth further the views would look the same.
+/// Why the teeth cannot be numbered: the views would look the same one tooth further.
 pub(super) fn ambiguous_teeth(turned_rad: f64, gear: &GearData) -> Option<Reason> {
     let rival_rad = gear.pitch_rad() - turned_rad.abs();
     (turned_rad.abs() > RIVAL_RATIO * rival_rad).then(|| {
@@ -145,7 +145,7 @@ mod tests {
                 vertical_mm: 33.0,
             })
             .collect();
-        // Seven times 0.2 degrees, and 0.5 mm aside.
+        // Seven times 0.2 degrees, and 0.5 mm sideways.
         let mut found = nominal.clone();
         (found.parameters[2], found.parameters[3]) = (7.0, 1.0);
         let turned = turned_rad(&found, &nominal, &planned, 22.0);

@@ -1,4 +1,4 @@
-//! The map of all views anew, in cells of a chosen size along the toothing's profile: what a mesh of that resolution is made of.
+//! A map of all views in cells of a chosen size along the toothing's profile, from which a mesh of that resolution is made.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout, Profile};
@@ -9,23 +9,23 @@ use super::full_cloud::registered;
 use super::result::Scan;
 use super::session::{Session, SessionError};
 
-/// Most cells, 90 bytes each.
+/// Largest number of cells, at 90 bytes each.
 const MOST_CELLS: f64 = 1.5e7;
 
-/// Why there is no map in finer cells.
+/// Why there is no finer map.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FineMapError {
-    /// Cells that are too many or too few.
+    /// The spacing gives too many or too few cells.
     #[error(
         "{spacing_mm} mm is no spacing for a mesh of this gear; right would be {least_mm:.3} to {most_mm:.3} mm"
     )]
     Spacing {
-        /// What was asked for.
+        /// Requested spacing.
         spacing_mm: f64,
-        /// Least: so many cells fit into memory.
+        /// Smallest spacing: limited by memory.
         least_mm: f64,
-        /// Most: a tooth keeps its shape.
+        /// Largest spacing: limited by the shape of a tooth.
         most_mm: f64,
     },
     /// The session folder cannot be read.
@@ -33,7 +33,7 @@ pub enum FineMapError {
     Session(#[from] SessionError),
 }
 
-/// Cells of `spacing_mm` along the profile and the axis.
+/// Layout with cells of `spacing_mm` along the profile and the axis.
 pub(super) fn layout(gear: &GearData, spacing_mm: f64) -> Result<Layout, FineMapError> {
     let profile = Profile::for_gear(gear);
     let [low, high] = gear.height_mm;
@@ -54,7 +54,7 @@ pub(super) fn layout(gear: &GearData, spacing_mm: f64) -> Result<Layout, FineMap
     })
 }
 
-/// Every registered view in its final pose, one in memory after the other, merged as the scan's own map is.
+/// Every registered view in its final pose, read one at a time and merged as in the scan's own map.
 pub(super) fn merged(
     scan: &Scan,
     session: &Session,

@@ -1,4 +1,4 @@
-//! A scan's session folder, opened again without an instrument: for the article's figures.
+//! Opens a scan's session folder again without an instrument, for the article's figures.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,18 +23,18 @@ use flankscope_instrument::acquisition::{Recording, RecordingError};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FinishedScanError {
-    /// What a scan could not have used either.
+    /// An error that a scan would report too.
     #[error(transparent)]
     Scan(#[from] ScanError),
-    /// Its views are no grid.
+    /// Its views are not a grid.
     #[error("{path}: {error}; the article's figures need views around the die, layer by layer")]
     Grid {
         /// The folder.
         path: String,
-        /// Why.
+        /// Reason.
         error: GridError,
     },
-    /// No figures.
+    /// The article's figures cannot be computed.
     #[error(transparent)]
     Article(#[from] ArticleError<SessionError>),
 }
@@ -45,17 +45,17 @@ impl From<SessionError> for FinishedScanError {
     }
 }
 
-/// Why there are no sections.
+/// Why there are no cross-sections.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SectionsError {
-    /// What no recording could be used with.
+    /// The recording cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// Nothing recorded.
+    /// The recording has no views.
     #[error("the recording has no view")]
     NoViews,
-    /// Of another scan.
+    /// The recording belongs to another scan.
     #[error(
         "the recording is of {recorded}, the scan of {scanned}: name the frames that were saved with the scan"
     )]
@@ -67,7 +67,7 @@ pub enum SectionsError {
     },
 }
 
-/// The kept views of a scan, and what they are of.
+/// The kept views of a scan, with their plan.
 #[derive(Debug)]
 pub struct FinishedScan {
     subject: Subject,
@@ -85,7 +85,7 @@ impl FinishedScan {
     /// Opens the folder of a scan of this subject.
     ///
     /// # Errors
-    /// It is no such folder, damaged, of another tool or head, or its views are no grid.
+    /// It is not such a folder, is damaged, belongs to another tool or head, or its views are not a grid.
     pub fn open(subject: Subject, folder: &Path) -> Result<Self, FinishedScanError> {
         let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
         let mut of = Session::identity(folder)?;
@@ -113,11 +113,11 @@ impl FinishedScan {
             of,
         })
     }
-    /// Makes the article's figures, told `settings`, and which share of the pairs counts where a view is laid on the one before;
-    /// without that, nine tenths of what neighbours have in common.
+    /// Computes the article's figures with `settings`. These include the fraction of point pairs used when a view is registered
+    /// to the one before; its default is nine tenths of the overlap of neighbours.
     ///
     /// # Errors
-    /// No view lies on the CAD, the folder cannot be read, or there is no common solution.
+    /// No view is registered to the CAD, the folder cannot be read, or there is no common solution.
     pub fn article(&mut self, settings: &Hinz2019Settings) -> Result<Article, FinishedScanError> {
         let mut elapsed_ms = BTreeMap::new();
         let mut clock = Instant::now();
@@ -158,7 +158,7 @@ impl FinishedScan {
     /// Cross-sections of the fringes in the frames that were saved with this scan.
     ///
     /// # Errors
-    /// They are of another scan, or not what their plan and the head say.
+    /// The frames belong to another scan, or differ from plan and head file.
     pub fn sections(&self, recording: &Recording) -> Result<Sections, SectionsError> {
         let scanned = self.grid.to_string();
         if recording.index.grid.as_ref() != Some(&scanned) {

@@ -1,4 +1,4 @@
-//! What a scan says of the wear of every flank: the same measurand, judged by the same rules as in a check between strokes.
+//! Wear of every flank from a scan: the same measurand and rules as in a check between strokes.
 //!
 //! ```text
 //!  points of every view by flank (patches) ─► moved to the adjustment's poses ─► zone by zone: wear ─┐
@@ -6,9 +6,9 @@
 //!  medians of all flanks: what a turn of the die may hide ────────────────────────────────────────────┴─► judge
 //! ```
 //!
-//! A die that is put down by hand has no known turn, and a bore that is larger all around looks like a head farther from the
-//! wall: what a scan knows of one side of all teeth, and of all flanks together, is what the flanks themselves say. Wear is
-//! against the CAD: ovality, taper and pitch as built count as wear, as in a check without a baseline.
+//! A die that is placed by hand has an unknown rotation, and a bore that is larger all around looks like a head farther from the
+//! wall. So the mean of one side of all teeth, and of all flanks together, is known from the flanks alone. Wear is relative to
+//! the CAD: ovality, taper and pitch as built count as wear, as in a check without a baseline.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -40,34 +40,34 @@ use crate::inspection::{Judged, calibration_um, unmeasured_flank};
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::Feature;
 
-/// A view is asked for no more than its round field shows of a flank that lies off its middle, even where die and head stand
-/// off by so much (mm) together.
+/// Misplacement of die and head together, mm. A view must cover only the part of an off-centre flank that its round field shows
+/// even with this misplacement.
 const PUT_DOWN_MM: f64 = 1.0;
-/// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
+/// Width at the end faces that is not judged, in modules, because the edge is blurred there, as at the tip.
 const END_PER_MODULE: f64 = 0.1;
-/// Of a flank that was not asked for, less than this share of a zone says nothing.
+/// Smallest measured fraction of a zone for a flank that was not requested.
 const LEAST_SEEN: f64 = 0.02;
-/// Turns of the die on its table, as wear, among which nothing but the flanks tells: standard deviation, mm. Wider than any
-/// wear that is still a gear, narrow enough for the integral's steps to stay below a micrometre.
+/// Prior of the die's rotation on its table, as wear, which only the flanks can determine: standard deviation, mm. Wider than any
+/// wear of a usable gear, narrow enough for integration steps below a micrometre.
 const ANY_TURN_MM: f64 = 0.1;
-/// The lower quartile of a normal distribution lies so many standard deviations below its median; and the standard error of
-/// that of n values is this many over the root of n.
+/// Distance of the lower quartile of a normal distribution from its median, in standard deviations; the standard error of the
+/// quartile of n values is this divided by the root of n.
 const QUARTILE_SIGMAS: f64 = 0.674_5;
 const QUARTILE_ERROR: f64 = 1.362_6;
 type Key = (u32, Flank);
 
-/// What is said of the flanks.
+/// The judged flanks.
 #[derive(Default)]
 pub(super) struct JudgedFlanks {
     pub features: Vec<Feature>,
     pub verdicts: Vec<Verdict>,
-    /// Mean deviation of every flank that was seen, asked for or not.
+    /// Mean deviation of every measured flank, requested or not.
     pub means: Vec<FlankMean>,
-    /// Share of the heights of those that were asked for.
+    /// Measured fraction of the heights of the requested flanks.
     pub height_ratio: f64,
 }
 
-/// How far above and below its middle a view is asked for its middle tooth, mm.
+/// Height above and below its middle that a view must cover of its middle tooth, mm.
 fn reach_mm(gear: &GearData, view: &PlannedView, field_mm: f64) -> f64 {
     let radius_mm = 0.5 * field_mm;
     let off_rad = gear.tooth_centre_rad(view.tooth) + view.rotation_rad;
@@ -79,8 +79,8 @@ fn reach_mm(gear: &GearData, view: &PlannedView, field_mm: f64) -> f64 {
     squared.max(0.0).sqrt().min(ASKED_PER_FIELD * field_mm)
 }
 
-/// The heights that a plan asks for, tooth by tooth: around every view's middle; of a scan of all teeth, joined where layers
-/// are near each other or the end of the toothing is.
+/// Heights that a plan requires, tooth by tooth: around every view's middle. In a scan of all teeth they are joined where layers
+/// are close to each other or to the end of the toothing.
 fn asked(planned: &[PlannedView], gear: &GearData, field_mm: f64) -> BTreeMap<u32, Vec<[f64; 2]>> {
     let mut views: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
     for view in planned {
@@ -114,7 +114,7 @@ fn asked(planned: &[PlannedView], gear: &GearData, field_mm: f64) -> BTreeMap<u3
     views.into_iter().map(of_tooth).collect()
 }
 
-/// Share of the judged heights of the teeth that were asked for.
+/// Fraction of the judged heights of the requested teeth.
 fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -> f64 {
     let zones = asked.values().flatten();
     let judged: f64 = zones
@@ -123,7 +123,7 @@ fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -
     judged / ((top - bottom) * asked.len().max(1) as f64)
 }
 
-/// How the form of a die's flanks scatters about the median of each side, mm.
+/// Scatter of the flanks' form errors about the median of each side, mm.
 fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
     let off = Flank::BOTH.into_iter().flat_map(|side| {
         let of_side = || flanks.iter().filter(move |flank| flank.flank == side);
@@ -133,11 +133,11 @@ fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
     SIGMA_PER_MAD * median_of(off).unwrap_or(0.0)
 }
 
-/// What all flanks say of a turn of the die, of which nothing else is known; and how well the form of a die whose flanks
-/// scatter by this is known from as many, mm.
+/// Evidence of all flanks on the rotation of the die, which is otherwise unknown; and the uncertainty of the form of a die with
+/// this scatter, from this number of flanks, mm.
 ///
-/// Each side counts by its lower quartile, lifted to where the median of a side without wear is: damage of up to three
-/// quarters of a side does not reach it, nor does material that sticks to less than a quarter.
+/// Each side counts by its lower quartile, raised to the expected median of a side without wear: damage of up to three quarters
+/// of a side does not affect it, nor does adhering material on less than a quarter.
 fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
     let mut fewest = f64::INFINITY;
     let sides = Flank::BOTH.into_iter().filter_map(|side| {
@@ -168,7 +168,7 @@ fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
     )
 }
 
-/// What the flanks of a scan are judged from and by.
+/// Data and limits for judging the flanks of a scan.
 struct Judging<'a> {
     gear: &'a GearData,
     tool: &'a Tool,
@@ -177,12 +177,12 @@ struct Judging<'a> {
     nominal: &'a Stages,
     single: Local,
     field_mm: f64,
-    /// Standard uncertainty of a flank's deviation by the head's calibration, mm.
+    /// Standard uncertainty of a flank's deviation due to the head's calibration, mm.
     calibration_mm: f64,
 }
 
 impl Scanner {
-    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    /// Wear and verdict of every requested flank, and of others with damage.
     pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
         let subject = &self.job.subject;
         let judging = Judging {
@@ -200,7 +200,7 @@ impl Scanner {
 }
 
 impl Judging<'_> {
-    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    /// Wear and verdict of every requested flank, and of others with damage.
     fn flanks(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
         let (tool, planned) = (self.tool, self.planned);
         let asked = asked(planned, self.gear, self.field_mm);
@@ -261,7 +261,7 @@ impl Judging<'_> {
         })
     }
 
-    /// The zones of the flanks that were asked for, and of any other that a view saw, within the heights that are judged.
+    /// The zones of the requested flanks, and of any other that a view shows, within the judged heights.
     fn zones(
         &self,
         asked: &BTreeMap<u32, Vec<[f64; 2]>>,
@@ -286,7 +286,7 @@ impl Judging<'_> {
             .collect()
     }
 
-    /// Wear of zones from all views that saw them.
+    /// Wear of zones from all views that show them.
     fn measured(
         &self,
         stitched: &Stitched,
@@ -299,7 +299,7 @@ impl Judging<'_> {
         let views: Vec<(usize, &CameraPose)> =
             views.map(|((view, _), pose)| (*view, pose)).collect();
         let steps = [stitched.steps.around, stitched.steps.up];
-        // Of two views that lie a step apart each has its share.
+        // The step between two views is shared equally between them.
         let steps_mm = steps
             .into_iter()
             .flatten()
@@ -324,7 +324,7 @@ impl Judging<'_> {
             .collect()
     }
 
-    /// What the poses of the views do to the flanks that they were asked for.
+    /// Effect of the views' poses on the flanks that they must cover.
     fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<HeldView>, ScanError> {
         let nominal = Solution::prior(self.nominal.clone(), self.single);
         let views: Vec<_> = stitched
@@ -368,9 +368,9 @@ impl Judging<'_> {
 /// One zone of a flank with its verdict.
 struct OfZone {
     key: Key,
-    /// Mean loss; none when no disc could be measured, or the turn of the die is not known.
+    /// Mean loss; `None` if no disc could be measured, or the rotation of the die is not known.
     mean_mm: Option<f64>,
-    /// Measured area, as a number of cells.
+    /// Measured area, in cells.
     cells: usize,
     all_cells: usize,
     judged: Judged,
@@ -389,7 +389,7 @@ fn judge(wear: FlankWear, zone: &Zone, limits: &FlankLimits) -> OfZone {
     }
 }
 
-/// Zones to flanks: of several zones of a flank, the one behind its verdict stands for it.
+/// Combines zones to flanks: the zone that decides the verdict represents a flank with several zones.
 fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
     let mut all = JudgedFlanks::default();
     for of_flank in zones.chunk_by(|a, b| a.key == b.key) {
@@ -422,7 +422,7 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
             rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
         });
         let Some(worst) = worst else { continue };
-        // Nobody asked for it: what is missing of it is no fault, what it shows is one.
+        // It was not requested: missing parts do not matter, damage does.
         let shows = matches!(worst.judged.verdict().word(), Word::NoGo | Word::Warn);
         if !is_asked(key.0) && !shows {
             continue;
@@ -454,7 +454,7 @@ mod tests {
         }
     }
 
-    /// Heights of tooth 7 when a scan of some teeth looks so far beside each.
+    /// Heights of tooth 7 if a scan of some teeth also covers this distance beside each.
     fn zones(teeth: u32, layers: u32, beside_pitches: f64) -> Vec<[f64; 2]> {
         let gear = gear();
         let mut plan = Vec::new();
@@ -481,7 +481,7 @@ mod tests {
         assert!((share - 56.0 / 66.0).abs() < 1e-9, "{share}");
         assert_eq!(zones(84, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
         assert_eq!(zones(12, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
-        // Beside the middle, the round field shows less of the height.
+        // Beside its middle, the round field shows less height.
         let [low, high] = zones(12, 1, 0.5)[0];
         assert!((4.0..7.0).contains(&(high - low)), "{low} {high}");
     }
@@ -495,7 +495,7 @@ mod tests {
         }
     }
 
-    /// What is known of a turn when all left and all right flanks read these, each with its own 3 um.
+    /// Rotation if all left and all right flanks have these values, each with a scatter of 3 µm.
     fn turn_um(left_um: f64, right_um: f64, proud_um: f64) -> [f64; 2] {
         let own = |tooth: u32| if tooth.is_multiple_of(2) { 2e-3 } else { -2e-3 };
         let mut flanks: Vec<SeenFlank> = (1..=84)
@@ -516,10 +516,10 @@ mod tests {
     fn sound_flanks_pin_the_turn_and_one_sided_wear_of_all_leaves_it_open() {
         let [mean, u] = turn_um(0.0, 0.0, 0.0);
         assert!(mean.abs() < 1.0 && u < 3.0, "{mean} {u}");
-        // Stuck material on one flank changes nothing.
+        // Adhering material on one flank has no effect.
         let [mean, u] = turn_um(0.0, 0.0, 80.0);
         assert!(mean.abs() < 1.0 && u < 3.0, "{mean} {u}");
-        // 55 um off one side of all, shared out by the turn: nobody knows how much of it either side has lost or gained.
+        // 55 µm off one side of all teeth, divided between both sides by the rotation: how much either side has lost or gained is unknown.
         let [mean, u] = turn_um(27.5, 27.5, 0.0);
         assert!(mean.abs() < 2.0, "{mean}");
         assert!(1.96 * u > 55.0, "{u}");

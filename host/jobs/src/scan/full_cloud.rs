@@ -1,4 +1,4 @@
-//! Every point of every registered view in its final pose, one view in memory after the other.
+//! Every point of every registered view in its final pose, with one view in memory at a time.
 
 use std::io::{self, Write};
 
@@ -21,7 +21,7 @@ pub enum CloudError {
     Write(#[from] io::Error),
 }
 
-/// The views that are registered in the end, with their final poses.
+/// The finally registered views, with their final poses.
 pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Rigid<Tool, Camera>)> {
     let views = scan.registration.iter();
     views.filter_map(|of| {
@@ -43,8 +43,8 @@ pub(super) fn points_in_tool(
     }))
 }
 
-/// Writes the cloud in the tool frame: x, y, z, standard uncertainty along the ray that it was seen by (mm), and the
-/// number of its view as in the JSON. Single precision is 4 nm at the radius of the bore. Returns the number of points.
+/// Writes the cloud in the tool frame: x, y, z, standard uncertainty along the viewing ray (mm), and the number of its view as in
+/// the JSON. Single precision is 4 nm at the radius of the bore. Returns the number of points.
 pub(super) fn write(
     scan: &Scan,
     session: &Session,
@@ -67,11 +67,11 @@ pub(super) fn write(
     Ok(count as u64)
 }
 
-/// A view that is written.
+/// A view to be written.
 struct View {
     view: usize,
     tool_from_camera: Rigid<Tool, Camera>,
-    /// Its points.
+    /// Number of points.
     count: usize,
 }
 
@@ -100,7 +100,7 @@ fn write_ply(
     Ok(())
 }
 
-/// Each array goes over the views once: none is in memory as a whole.
+/// Each array takes one pass over the views, so that none is in memory as a whole.
 fn write_arrays(
     views: &[View],
     count: usize,
@@ -120,7 +120,7 @@ fn write_arrays(
     Ok(())
 }
 
-/// Something of every point, view after view.
+/// A property of every point, view after view.
 fn in_turn<'a, T: 'a>(
     views: &'a [View],
     session: &'a Session,

@@ -1,5 +1,4 @@
-//! Profile, helix and pitch of every tooth from every point of a scan, in the views' final poses, one view in memory after the
-//! other.
+//! Profile, helix and pitch of every tooth from all points of a scan, in the views' final poses, with one view in memory at a time.
 
 use std::collections::BTreeMap;
 
@@ -14,23 +13,23 @@ use super::full_cloud::{points_in_tool, registered};
 use super::result::Scan;
 use super::session::{Session, SessionError};
 
-/// Why no gear was evaluated.
+/// Why the gear was not evaluated.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanGearError {
-    /// What was scanned is not known to be where it was laid.
+    /// The views are not registered reliably.
     #[error("the views do not stand where a gear could be read from them: {reason}")]
     NotLaid {
-        /// The scan's own reason.
+        /// Reason given by the scan.
         reason: String,
     },
     /// No flank has an uncertainty.
     #[error("no flank was measured of which the uncertainty is known: {reason}")]
     NoUncertainty {
-        /// The scan's own reason.
+        /// Reason given by the scan.
         reason: String,
     },
-    /// The points make no gear.
+    /// The points do not form a gear.
     #[error(transparent)]
     Evaluation(#[from] GearEvaluationError),
     /// The session folder cannot be read.
@@ -38,43 +37,44 @@ pub enum ScanGearError {
     Session(#[from] SessionError),
 }
 
-/// A scan read as a gear.
+/// Gear evaluation of a scan.
 #[derive(Clone, Debug, Serialize)]
 pub struct ScanGear {
-    /// Expanded uncertainty (95 %) of a deviation, µm, by what its points share; their scatter is every trace's own `noise_um`.
+    /// Expanded uncertainty (95 %) of a deviation, µm, common to all of its points; their scatter is every trace's own `noise_um`.
     pub u95_um: f64,
-    /// Its parts: standard uncertainties, µm.
+    /// Its contributions: standard uncertainties, µm.
     pub budget_um: BTreeMap<&'static str, f64>,
-    /// Range around the turn of what the solve found to be the rotary stage's error, as a length along the pitch circle, µm: views are
-    /// laid on their own teeth, so a cumulative pitch deviation of the die cannot be told from it.
+    /// Range over a revolution of the rotary stage's error by the joint solution, as a length along the pitch circle, µm. Views
+    /// are registered to their own teeth, so a cumulative pitch deviation of the die cannot be distinguished from it.
     pub stage_um: f64,
-    /// Expanded uncertainty of F_p and F_r, µm: with all of that.
+    /// Expanded uncertainty of F_p and F_r, µm, including `stage_um`.
     pub cumulative_u95_um: f64,
-    /// The figures.
+    /// The results.
     #[serde(flatten)]
     pub evaluation: GearEvaluation,
 }
 
 impl ScanGear {
-    /// Expanded uncertainty (95 %) of a deviation, µm: what all share, and the scatter of its own points.
+    /// Expanded uncertainty (95 %) of a deviation, µm: the common part, and the scatter of its own points.
     #[must_use]
     pub fn u95_with_um(&self, noise_um: f64) -> f64 {
         self.u95_um.hypot(COVERAGE_95 * noise_um)
     }
 }
 
-/// Terms of a flank's uncertainty budget that all of its points share and that act on its form. The term of the die's turn is left out
-/// because a turn is no deviation of profile, helix or pitch; the term of hidden wear, because it concerns wear alone.
+/// Terms of a flank's uncertainty budget that are common to its points and act on its form. Excluded are the term of the die's
+/// rotation, because a rotation is no deviation of profile, helix or pitch, and the term of hidden wear, because it concerns wear
+/// alone.
 const SHARED: [&str; 4] = ["registration", "calibration", "cad", "film"];
 
-/// Reads the gear from a scan that was laid on the CAD in one solve.
+/// Evaluates the gear from a scan that was registered to the CAD in one solution.
 pub(super) fn evaluate(
     scan: &Scan,
     session: &Session,
     gear: &GearData,
 ) -> Result<ScanGear, ScanGearError> {
     let laid = scan.adjustment.as_ref().is_some_and(|found| found.settled);
-    // Of a die that is not the CAD's, no flank is told.
+    // If the die is not that of the CAD, no flank is evaluated.
     if !laid || scan.flank_means.is_empty() {
         let reason = scan.reason.clone();
         return Err(ScanGearError::NotLaid { reason });
@@ -83,7 +83,7 @@ pub(super) fn evaluate(
     let mut budget_um: BTreeMap<&'static str, f64> = BTreeMap::new();
     for (&name, &um) in budgets.flat_map(|detail| &detail.budget_um) {
         if SHARED.contains(&name) {
-            // No number at all where one is none.
+            // NaN if one of them is NaN.
             let worst = budget_um.entry(name).or_insert(um);
             if um > *worst || um.is_nan() {
                 *worst = um;
@@ -118,7 +118,7 @@ pub(super) fn evaluate(
     })
 }
 
-/// Range around the turn of the rotary stage's error as it was found: harmonics that all views share, and what each has of its own.
+/// Range over a revolution of the rotary stage's error as found: common harmonics, and the residual of each view.
 fn stage_rad(scan: &Scan) -> f64 {
     let range = |mdeg: &mut dyn Iterator<Item = f64>| {
         let ends = (f64::INFINITY, f64::NEG_INFINITY);

@@ -1,4 +1,4 @@
-//! Which views a scan takes: evenly around, evenly over the height.
+//! Views of a scan, equally spaced around the bore and over the height.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
@@ -7,7 +7,7 @@ use flankscope_profilometry::HeadModel;
 use crate::plan::{PlanningError, ViewPlan};
 use flankscope_metrology::view::PlannedView;
 
-/// Views around by layers over the height.
+/// Number of views around the bore, and of layers over the height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     /// Views around.
@@ -16,10 +16,10 @@ pub struct Grid {
     pub layers: u32,
 }
 
-/// Most views of a layer, and most layers.
+/// Largest number of views in a layer, and of layers.
 const MOST: [u32; 2] = [1000, 100];
 
-/// Why a text is no grid.
+/// The text is not a grid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "views \"{text}\" are no grid; AROUNDxLAYERS is, such as 84x7, with 3 to {} around and 1 to {} layers", MOST[0], MOST[1]
@@ -50,7 +50,7 @@ impl std::fmt::Display for Grid {
 }
 
 impl Grid {
-    /// The views in order of capture: layer by layer from the bottom, there and back so that the stage never turns idly.
+    /// The views in the order of capture: layer by layer from the bottom, in alternating directions to avoid idle rotations.
     ///
     /// # Errors
     /// The tool has no gear, or the head no patterns, exposures or hand-eye.
@@ -62,7 +62,7 @@ impl Grid {
         })
     }
 
-    /// Where the stages stand for its views.
+    /// Positions of the stages for its views.
     pub(super) fn views(&self, gear: &GearData) -> Vec<PlannedView> {
         let [low, high] = gear.height_mm;
         let turn = std::f64::consts::TAU;
@@ -75,7 +75,7 @@ impl Grid {
                 } else {
                     self.around - 1 - step
                 };
-                // A tooth in the middle of the first view when there are as many views as teeth; never the ends ±π.
+                // Centres a tooth in the first view if there are as many views as teeth; avoids the ends ±π.
                 let rotation_rad = turn * ((f64::from(place) + 0.5) / f64::from(self.around) - 0.5);
                 views.push(PlannedView {
                     tooth: gear.tooth_at(-rotation_rad),

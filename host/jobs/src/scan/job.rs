@@ -1,4 +1,4 @@
-//! The scan from hello to result: captures of as many views as a plan holds, kept one by one, stitched at the end.
+//! The scan from connecting to its result: captures with as many views as a plan holds, views kept one by one and stitched at the end.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -42,35 +42,35 @@ use flankscope_instrument::acquisition::{
 use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_record::origin::Setting;
 
-/// Why there is no scan.
+/// Why a scan failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanError {
-    /// The instrument does not work.
+    /// The instrument failed.
     #[error(transparent)]
     Instrument(#[from] InspectError),
-    /// Controller or camera cannot be worked with.
+    /// Controller or camera cannot be used.
     #[error(transparent)]
     Acquisition(#[from] AcquisitionError),
-    /// The session folder is unusable.
+    /// The session folder cannot be used.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// Recorded clouds that cannot be used.
+    /// Recorded clouds cannot be used.
     #[error(transparent)]
     Clouds(#[from] CloudsError),
-    /// The recording's grid is none.
+    /// The recording's grid is invalid.
     #[error("grid of the recording: {0}")]
     Grid(#[from] GridError),
-    /// Bands of a datum, which hold the pose of a single view.
+    /// The tool file names datum bands, which determine the pose of a single view only.
     #[error(
         "inspect.datum_height_mm of the tool file names {bands} bands that the pose of a check rests on; a scan lays all its views \
          on the whole die and cannot use them: scan with a tool file that leaves the key out"
     )]
     DatumBands {
-        /// How many.
+        /// Number of bands.
         bands: usize,
     },
-    /// A view of a recording that is not of its grid.
+    /// A view of a recording is not at a position of its grid.
     #[error(
         "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
     )]
@@ -80,7 +80,7 @@ pub enum ScanError {
         /// The grid.
         grid: String,
     },
-    /// A recording whose views stood where no stages say.
+    /// The poses of a recording come from a table instead of the stages.
     #[error(
         "poses = {:?} in frames.toml: a scan lays its views together by the errors of two stages, not by a table of poses; leave it out \
          where stages moved, or use inspect --frames",
@@ -90,65 +90,65 @@ pub enum ScanError {
         /// The table.
         poses: PathBuf,
     },
-    /// No common solution.
+    /// The views have no common solution.
     #[error(transparent)]
     Adjustment(#[from] AdjustmentError),
-    /// Somebody stopped it.
+    /// The operator interrupted it.
     #[error(
         "interrupted after {done} of {of} views; they are in {folder}: scan into it again to go on"
     )]
     Interrupted {
-        /// Views that are kept.
+        /// Number of kept views.
         done: usize,
-        /// Of how many.
+        /// Number of views.
         of: usize,
         /// Session folder.
         folder: PathBuf,
     },
-    /// A size of voxels that is none.
+    /// The voxel size is invalid.
     #[error(transparent)]
     Merge(#[from] MergeError),
-    /// Views that the article's method cannot stitch.
+    /// The article's method cannot stitch the views.
     #[error(transparent)]
     Article(#[from] ArticleError<SessionError>),
 }
 
-/// Which way the result is made.
+/// Stitching method of the result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// All views on the surface, in one adjustment.
+    /// All views on the CAD surface, in one adjustment.
     #[default]
     Surface,
-    /// The article's; ours beside it.
+    /// The article's method; ours for comparison.
     Hinz2019,
-    /// Ours; the article's beside it.
+    /// Our method; the article's for comparison.
     Both,
 }
 
-/// How far a scan is.
+/// Progress of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Progress {
-    /// Views that are done, of how many, and the time that the others will take at this pace.
+    /// Views that are done, with the remaining time at the present pace.
     Views {
-        /// Done.
+        /// Number of views done.
         done: usize,
-        /// Of how many.
+        /// Number of views.
         of: usize,
-        /// Remaining.
+        /// Remaining time.
         remaining: Duration,
     },
     /// A view is captured again.
     Recapture(usize),
-    /// All views are laid on the CAD together.
+    /// The adjustment of all views has begun.
     Stitching,
 }
 
-/// The instrument's host side for scans, with its session folder open.
+/// Host side of the instrument for scans, with an open session folder.
 #[derive(Debug)]
 pub struct Scanner {
     pub(super) job: Job<ScannedView>,
     pub(super) store: Store,
-    /// What the views are called.
+    /// Name of the set of views.
     pub(super) views: String,
     pub(super) gear: GearData,
     pub(super) nominal: Stages,
@@ -160,12 +160,12 @@ pub struct Scanner {
 }
 
 impl Scanner {
-    /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads. `of` names what
-    /// else must be the same for the scan to go on, beside grid, tool, CAD and head. The result says that it comes from
-    /// `setting`.
+    /// Opens the session folder, which may hold an earlier part of the same scan, and starts the threads. `of` lists further
+    /// properties besides grid, tool, CAD and head that must be equal for the scan to be continued. The result states `setting`
+    /// as its origin.
     ///
     /// # Errors
-    /// The subject is unfit, the folder is another scan's or damaged, or shared memory is refused.
+    /// Tool or head lack what the job needs, the folder belongs to another scan or is damaged, or shared memory cannot be created.
     pub fn open(
         subject: Subject,
         setting: Setting,
@@ -178,7 +178,8 @@ impl Scanner {
         Self::start(subject, setting, planned, (folder, of), Some(root))
     }
 
-    /// The same for any planned views; frames come from the camera process below `camera`, without one from a recording.
+    /// Like [`Self::open`] for any planned views; frames come from the camera process below `camera`, or from a recording if this
+    /// is `None`.
     pub(super) fn start(
         subject: Subject,
         setting: Setting,
@@ -215,7 +216,7 @@ impl Scanner {
         })
     }
 
-    /// Compares with an earlier scan of the same die: whether it was put down turned by whole teeth since.
+    /// Compares with an earlier scan of the same die, to detect whether it was rotated by whole teeth since.
     ///
     /// # Errors
     /// The earlier result cannot be used.
@@ -227,10 +228,10 @@ impl Scanner {
         Ok(())
     }
 
-    /// Chooses how the views are stitched; the captured views are the same for every method.
+    /// Chooses the stitching method; the captured views are the same for every method.
     ///
     /// # Errors
-    /// The voxel size is none.
+    /// The voxel size is invalid.
     pub fn by_method(
         &mut self,
         method: Method,
@@ -241,11 +242,11 @@ impl Scanner {
         Ok(())
     }
 
-    /// Captures what is missing and stitches everything.
+    /// Captures the missing views and stitches all.
     ///
     /// # Errors
-    /// The scan could not begin, the session folder cannot be written, or the views have no common solution. Views that
-    /// are lost on the way are holes in the map.
+    /// The scan could not begin, the session folder cannot be written, or the views have no common solution. Lost views are holes
+    /// in the map.
     pub fn scan(
         &mut self,
         port: &Path,
@@ -266,7 +267,7 @@ impl Scanner {
         Ok(scan)
     }
 
-    /// Sums recorded frames of the views that the session folder lacks and stitches everything.
+    /// Sums recorded frames of the views that the session folder lacks, and stitches all.
     ///
     /// # Errors
     /// The session folder cannot be written, or the views have no common solution. Views without frames are holes in the map.
@@ -296,7 +297,7 @@ impl Scanner {
         Ok(captured)
     }
 
-    /// The result of what was captured, and of what the session folder held before.
+    /// The result of the captured views, including those already in the session folder.
     pub(super) fn conclude(
         &mut self,
         Captured { unfit, run, lost }: Captured,
@@ -321,7 +322,7 @@ impl Scanner {
         Ok(scan)
     }
 
-    /// Adds to a finished scan what the article's metrics say of it, and with `raster` its unrolled comparison.
+    /// Adds the article's metrics to a finished scan, and with `raster` its unrolled comparison.
     ///
     /// # Errors
     /// The CAD has no surface where the gear is, or the session folder cannot be read.
@@ -334,16 +335,16 @@ impl Scanner {
     /// Adds profile, helix and pitch of every tooth to a finished scan, from every point of every registered view.
     ///
     /// # Errors
-    /// The views stand on nothing, their uncertainty is not known, or the session folder cannot be read.
+    /// The views are not registered reliably, their uncertainty is not known, or the session folder cannot be read.
     pub fn evaluate_gear(&self, scan: &mut Scan) -> Result<(), ScanGearError> {
         scan.gear = Some(gear::evaluate(scan, &self.store.session, &self.gear)?);
         Ok(())
     }
 
-    /// Whether a mesh of this gear can have this spacing.
+    /// Checks whether a mesh of this gear can have this spacing.
     ///
     /// # Errors
-    /// It cannot.
+    /// The spacing is out of range.
     pub fn check_spacing(&self, spacing_mm: f64) -> Result<(), FineMapError> {
         fine_map::layout(&self.gear, spacing_mm).map(drop)
     }
@@ -351,7 +352,7 @@ impl Scanner {
     /// The map of a finished scan in cells of `spacing_mm` along the toothing's profile and its axis.
     ///
     /// # Errors
-    /// The spacing is none, or the session folder cannot be read.
+    /// The spacing is out of range, or the session folder cannot be read.
     pub fn fine_map(&self, scan: &Scan, spacing_mm: f64) -> Result<CylinderMap, FineMapError> {
         let layout = fine_map::layout(&self.gear, spacing_mm)?;
         let tool = &self.job.subject.tool;
@@ -371,7 +372,7 @@ impl Scanner {
         full_cloud::write(scan, &self.store.session, format, out)
     }
 
-    /// Captures every view that the session folder lacks, some at a time.
+    /// Captures every view that the session folder lacks, in groups.
     async fn capture_all(
         &mut self,
         client: &mut Client,
@@ -421,7 +422,7 @@ impl Scanner {
         Ok(())
     }
 
-    /// What the views are laid on each other in.
+    /// Cell layout and tolerances for the adjustment.
     fn frame(&self) -> Frame {
         Frame {
             layout: layout(&self.gear),
@@ -430,7 +431,7 @@ impl Scanner {
         }
     }
 
-    /// A scan without a view, and why.
+    /// A scan without views, with the reason.
     fn nothing(&mut self, why: &Reason) -> Result<Scan, ScanError> {
         let frame = self.frame();
         let none = BTreeMap::new();
@@ -511,7 +512,7 @@ impl Scanner {
 }
 
 impl Scanner {
-    /// Has the frames of every capture that follows written into `folder`, which exists.
+    /// Also writes the frames of all following captures into `folder`, which must exist.
     ///
     /// # Errors
     /// A thread ended early.
@@ -519,10 +520,10 @@ impl Scanner {
         self.job.save_frames(folder)
     }
 
-    /// Makes a recording of the frames that were saved for a scan. `head` is the head's file in the same folder.
+    /// Writes the index of the frames that were saved for a scan. `head` is the head file in the same folder.
     ///
     /// # Errors
-    /// Something was not written.
+    /// A file was not written.
     pub fn record(&mut self, folder: &Path, head: &Path) -> Result<(), RecordError> {
         let note = FrameIndex {
             grid: Some(self.views.clone()),
@@ -534,15 +535,15 @@ impl Scanner {
 
 /// Result of the capture of a scan's views; the views themselves are in the session folder.
 pub(super) struct Captured {
-    /// Why the head must not judge; nothing was captured then.
+    /// Why the head must not judge, if so; nothing was captured then.
     unfit: Option<Reason>,
     pub run: Run<ScannedView>,
-    /// Why views are in no session folder.
+    /// Reasons of views that are missing in the session folder.
     pub lost: BTreeMap<usize, Reason>,
 }
 
 impl Captured {
-    /// Nothing so far.
+    /// Without captured views yet.
     pub fn unless(unfit: Option<Reason>) -> Self {
         Self {
             unfit,
@@ -552,7 +553,7 @@ impl Captured {
     }
 }
 
-/// Keeps what came of these views; returns those that are lost so far, and says why.
+/// Stores the outcomes of these views; returns those that are lost so far, with reasons.
 pub(super) fn keep(
     store: &mut Store,
     lost: &mut BTreeMap<usize, Reason>,

@@ -1,7 +1,7 @@
-//! What the article's ways of measuring a distance would have said of the same points.
+//! The article's distance metrics, applied to the same points.
 //!
-//! The distance to the nearest of many random points on the CAD is half their spacing for a perfect piece and a perfect
-//! instrument, so a histogram of it shows the reference cloud rather than the piece; beside it stands the exact distance.
+//! For a perfect workpiece and a perfect instrument, the distance to the nearest of many random points on the CAD is half their
+//! spacing, so its histogram shows the reference cloud rather than the workpiece. The exact distance is given for comparison.
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, Statistics, statistics};
@@ -17,26 +17,26 @@ use super::result::Scan;
 use super::session::{Session, SessionError};
 use flankscope_article::MERGED_PER_MM2;
 
-/// Reference points of one view in the article's window.
+/// Number of reference points in the article's window of one view.
 const VIEW_SAMPLES: usize = 100_000;
-/// Reference points of the raster, per cell of the unrolled bore.
+/// Number of reference points of the raster, per cell of the unrolled bore.
 const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
-/// Points of an end face lie within this of it, mm.
+/// Tolerance for points on an end face, mm.
 const END_MM: f64 = 1e-6;
-/// Points farther off belong to nothing in any metric, mm.
+/// Points farther away are excluded in every metric, mm.
 const OUTLIER_MM: f64 = 0.5;
 
-/// Why nothing was compared.
+/// Why the metrics were not computed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MetricsError {
-    /// No reference points.
+    /// No reference points could be drawn.
     #[error(transparent)]
     Sample(#[from] SampleError),
-    /// No search among them.
+    /// The search tree of the reference points failed.
     #[error(transparent)]
     Tree(#[from] SampleTreeError),
-    /// No points of the view.
+    /// The points of the view cannot be read.
     #[error(transparent)]
     Session(#[from] SessionError),
 }
@@ -56,7 +56,7 @@ pub struct TwoMetrics {
     pub nearest_um: Vec<f64>,
 }
 
-/// The article's metrics beside the exact one.
+/// The article's metrics, with the exact distance for comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
     /// Number of the view in `one_view`.
@@ -65,15 +65,15 @@ pub struct Metrics {
     pub one_view: TwoMetrics,
     /// One point per cell of the map.
     pub merged: TwoMetrics,
-    /// How far the unrolled and subtracted picture is from the exact deviations; only if it was asked for.
+    /// Difference between the article's unrolled and subtracted map and the exact deviations; only on request.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster: Option<RasterError>,
-    /// That picture, mm, row by row from the bottom.
+    /// That map, mm, row by row from the bottom.
     #[serde(skip)]
     pub raster_mm: Vec<Option<f64>>,
 }
 
-/// Compares; `None` when no view was registered.
+/// Computes the metrics; `None` if no view was registered.
 pub(super) fn compare(
     scan: &Scan,
     session: &Session,
@@ -121,7 +121,7 @@ pub(super) fn compare(
         let cells = (layout.columns * layout.rows) as f64;
         let count = (RASTER_SAMPLES_PER_CELL * cells).clamp(1.0, 2e7) as usize;
         let mut reference = whole.sample(middle, &tool.mesh, count, 3)?;
-        // An end face is no layer of the toothing.
+        // An end face is not part of the toothing.
         let [low, high] = layout.height_mm;
         reference.retain(|[_, _, z]| (low + END_MM..high - END_MM).contains(z));
         raster_mm = raster::subtract(
@@ -139,7 +139,7 @@ pub(super) fn compare(
     }))
 }
 
-/// The measured place of every cell, mm.
+/// The measured position of every cell, mm.
 fn merged_points(map: &CylinderMap) -> Vec<[f64; 3]> {
     map.cells().map(|cell| cell.measured()).collect()
 }

@@ -1,4 +1,4 @@
-//! The scan of the whole die: many views, laid on the CAD together, merged into one map.
+//! The scan of the whole die: many views, registered to the CAD together and merged into one map.
 //!
 //! ```text
 //!  grid ──► captures of up to 16 views ──► view: points, pose, information, cells ──► session folder, patches
@@ -9,27 +9,27 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `grid` | which views, in which order |
-//! | `view` | one view's sums to points and a first pose |
-//! | `cell_observations` | a view's points on the CAD, gathered by cells of the unrolled bore |
-//! | `patches` | those cells of every view, kept on the disk until all poses are known |
-//! | `session` | the session folder: points of the views that are done, from which a killed scan goes on |
-//! | `stitch` | all views to one map |
-//! | `overlaps` | steps between views that overlap |
-//! | `reference` | whether the die sits as in an earlier scan |
-//! | `bore_size` | how well the mean size of the bore is known |
-//! | `die_identity` | whether it is the CAD's die at all |
-//! | `coverage` | planned flank fields that were not seen |
-//! | `metrics` | distances of the same points by the article's metrics |
-//! | `view_pipeline` | summed frames of a view to points that are kept |
-//! | `recorded` | the same scan of frames that were recorded |
-//! | `clouds` | the same of clouds, without their frames |
-//! | `finished` | a scan's session folder, opened again for the article's figures |
-//! | `job` | orders and captures from hello to result |
-//! | `describe` | the stitched views to the document |
+//! | `grid` | positions and order of the views |
+//! | `view` | from one view's sums to points and a first pose |
+//! | `cell_observations` | a view's points on the CAD, collected in cells of the unrolled bore |
+//! | `patches` | the cells of every view, on disk until all poses are known |
+//! | `session` | the session folder: points of finished views, from which an interrupted scan is continued |
+//! | `stitch` | from all views to one map |
+//! | `overlaps` | steps between overlapping views |
+//! | `reference` | tests whether the die is placed as in an earlier scan |
+//! | `bore_size` | uncertainty of the mean bore size |
+//! | `die_identity` | tests whether the die is that of the CAD |
+//! | `coverage` | planned fields of flanks that were not measured |
+//! | `metrics` | the article's distance metrics for the same points |
+//! | `view_pipeline` | from summed frames of a view to points in the session folder |
+//! | `recorded` | the scan of recorded frames |
+//! | `clouds` | the scan of recorded clouds, without frames |
+//! | `finished` | opens a session folder again for the article's figures |
+//! | `job` | captures and evaluation from connecting to the result |
+//! | `describe` | writes the document of the stitched views |
 //! | `full_cloud` | every point of every view, streamed |
 //! | `fine_map` | the map in cells of a chosen size |
-//! | `gear` | profile, helix and pitch of every tooth from them |
+//! | `gear` | profile, helix and pitch of every tooth |
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 

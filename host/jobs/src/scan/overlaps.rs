@@ -1,4 +1,4 @@
-//! Where views overlap: which pairs, what they say of each other, and how far apart they lie.
+//! Overlapping views: pairs, their relative poses, and the steps between them.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -14,17 +14,17 @@ use serde::Serialize;
 use super::patches::Patches;
 use super::session::SessionError;
 
-/// Views whose centres are farther apart than so many fields of view have nothing in common: a field, and its rim.
+/// Views whose centres are farther apart than this many fields of view do not overlap: one field, and its rim.
 const APART_PER_FIELD: f64 = 1.05;
 
-/// Views closer together around the bore are above each other, rad.
+/// Views closer together around the bore than this are above each other, rad.
 const LEVEL_RAD: f64 = 1e-4;
 
-/// A view and how it lies.
+/// A view's number and its information.
 type Laid = (usize, ViewInformation);
 
-/// What neighbours among the views say of each other, each where it was laid: beyond what all pairs of a kind say of the
-/// poses `alone` (by number of the view), which every view has by the CAD alone.
+/// Information of overlapping neighbours on their relative poses, beyond what all pairs of a kind have in common with the poses
+/// `alone` (by number of the view), which follow from the CAD alone.
 pub(super) fn overlaps(
     patches: &Patches,
     layout: &Layout,
@@ -70,7 +70,7 @@ pub(super) fn overlaps(
     Ok(found)
 }
 
-/// Whether a view lies on from another: further around, or above it.
+/// Whether a view follows another one: further around, or above it.
 fn follows(view: &ViewInformation, other: &ViewInformation) -> bool {
     let turn_rad = (view.at.rotation_rad - other.at.rotation_rad).rem_euclid(TAU);
     let level = turn_rad.min(TAU - turn_rad) < LEVEL_RAD;
@@ -81,7 +81,7 @@ fn follows(view: &ViewInformation, other: &ViewInformation) -> bool {
     }
 }
 
-/// Steps between views that overlap: mean differences of their deviations over the cells that both saw.
+/// Steps between overlapping views: mean differences of their deviations over the common cells.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Steps {
     /// Between views of a layer.
@@ -93,16 +93,16 @@ pub struct Steps {
 /// Steps of one kind.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Step {
-    /// Pairs of views.
+    /// Number of pairs.
     pub pairs: usize,
-    /// Root mean square of the steps with every view laid on the CAD alone, µm.
+    /// Root mean square of the steps with every view registered to the CAD alone, µm.
     pub before_um: f64,
-    /// The same once the overlaps counted, µm.
+    /// Root mean square of the steps after the overlaps were used, µm.
     pub after_um: f64,
 }
 
 impl Steps {
-    /// Of overlaps between `views`, for the poses of each view (by its number) before they counted and in the end.
+    /// From overlaps between `views`, with the poses of each view (by its number) before and after the overlaps were used.
     pub(super) fn of(
         overlaps: &[Overlap],
         views: &[Laid],

@@ -1,4 +1,4 @@
-//! What every view says of the map, kept on the disk until all poses are known: memory does not grow with the views.
+//! Contribution of every view to the map, stored on disk until all poses are known, so that memory does not grow with the number of views.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,17 +17,17 @@ use super::session::SessionError;
 /// One view of a flank, and the correction of its pose by the common solution.
 type MovedView = (FlankView, Rigid<ToolFrame, ToolFrame>);
 
-/// Where one view lies in the file.
+/// Position of one view's data in the file.
 #[derive(Debug)]
 struct Place {
     offset: u64,
     cell_observations: usize,
     flanks: BTreeMap<(u32, Flank), FlankPlace>,
-    /// At which it was laid on the CAD.
+    /// Pose at which it was registered to the CAD.
     tool_from_camera: CameraPose,
 }
 
-/// Where the points of one flank lie in the file: first those on it, then those under its edge, then where rays meet it.
+/// Position of the points of one flank in the file: first those on it, then those under its edge, then the intersections of rays with it.
 #[derive(Clone, Copy, Debug)]
 struct FlankPlace {
     offset: u64,
@@ -39,7 +39,7 @@ struct FlankPlace {
     slant: f64,
 }
 
-/// A file without a name in the session folder: it goes with the process, since all of it follows from the views' points.
+/// An unnamed file in the session folder. It disappears with the process, because it can be computed again from the views' points.
 #[derive(Debug)]
 pub(super) struct Patches {
     folder: PathBuf,
@@ -66,7 +66,7 @@ impl Patches {
         }
     }
 
-    /// Keeps a view's patch, and its points by flank, instead of older ones.
+    /// Stores a view's patch and its points by flank, replacing older ones.
     pub fn keep(
         &mut self,
         view: usize,
@@ -102,7 +102,7 @@ impl Patches {
         Ok(())
     }
 
-    /// Appends bytes; returns where they lie.
+    /// Appends bytes; returns their position.
     fn write(&mut self, bytes: &[u8]) -> Result<u64, SessionError> {
         let offset = self.end;
         let written = self.file.write_all_at(bytes, offset);
@@ -111,14 +111,14 @@ impl Patches {
         Ok(offset)
     }
 
-    /// Every flank that a view saw, view by view.
+    /// Every flank that a view shows, view by view.
     pub fn flanks(&self) -> impl Iterator<Item = (u32, Flank)> + '_ {
         self.places
             .values()
             .flat_map(|place| place.flanks.keys().copied())
     }
 
-    /// What a view saw of a flank, and how the view has moved from there to `tool_from_camera`; none where it saw nothing.
+    /// Points of a view on a flank, and the motion of the view from its stored pose to `tool_from_camera`; `None` without points.
     pub fn flank(
         &self,
         view: usize,
@@ -153,12 +153,12 @@ impl Patches {
         Ok(Some((seen, motion)))
     }
 
-    /// Pose at which a view was laid on the CAD, if it was.
+    /// Pose at which a view was registered to the CAD, if it was.
     pub fn pose(&self, view: usize) -> Option<&CameraPose> {
         Some(&self.places.get(&view)?.tool_from_camera)
     }
 
-    /// A view's patch as it is once the view has moved to `tool_from_camera`; empty for a view that was never laid.
+    /// A view's patch after the view has moved to `tool_from_camera`; empty for a view that was never registered.
     pub fn moved_to(
         &self,
         view: usize,

@@ -1,4 +1,4 @@
-//! The scan of recorded frames: everything after the camera as in a live one, and nothing before it.
+//! The scan of recorded frames: everything after the camera is as in a live scan.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,15 +18,14 @@ use flankscope_instrument::acquisition::{IndexedView, RecordedView, Recording};
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::origin::Setting;
 
-/// Two places nearer to each other than this are one: rad and mm, far below what a stage resolves.
+/// Positions nearer to each other than this are equal: rad and mm, far below the resolution of a stage.
 const SAME_PLACE: f64 = 1e-9;
 
 impl Scanner {
-    /// Prepares a scan of these frames, kept in `folder`, where an earlier part of it may lie. The result says that it comes
-    /// from `setting`.
+    /// Prepares a scan of these frames in `folder`, which may hold an earlier part of it. The result states `setting` as its origin.
     ///
     /// # Errors
-    /// The subject is unfit, the folder is another scan's, or an image is not there or not what plan and head say.
+    /// Tool or head lack what the job needs, the folder belongs to another scan, or an image is missing or differs from plan and head file.
     pub fn open_recorded(
         subject: Subject,
         setting: Setting,
@@ -51,7 +50,7 @@ impl Scanner {
         Ok((scanner, frames))
     }
 
-    /// Every capture in the order in which it was taken; a further one of a view counts where none before it was kept.
+    /// Plays every capture in order; a further one of a view is used if none before it was kept.
     pub(super) async fn play_scan(
         &mut self,
         frames: &mut RecordedFrames,
@@ -95,8 +94,7 @@ impl Scanner {
     }
 }
 
-/// The views of a recorded scan, those of its grid or else those that its index says; and for each of the index's, which of them
-/// it is.
+/// The views of a recorded scan: those of its grid, or else those in its index. Also, for each view of the index, its position among them.
 pub(super) fn planned(
     tool: &Tool,
     grid: Option<&str>,
@@ -139,7 +137,7 @@ pub(super) fn planned(
     Ok((views, of))
 }
 
-/// What views of a recording are called.
+/// Name of a recording's set of views.
 pub(super) fn name_of(grid: Option<&str>, views: &[PlannedView]) -> String {
     grid.map_or_else(|| format!("{} recorded views", views.len()), str::to_owned)
 }

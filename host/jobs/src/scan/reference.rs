@@ -1,4 +1,4 @@
-//! An earlier scan of the same die: says whether it was put down turned by whole teeth since, which the CAD cannot.
+//! An earlier scan of the same die, which shows whether the die was rotated by whole teeth since; the CAD cannot.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,29 +12,29 @@ use super::result::FlankSeen;
 use flankscope_record::origin::looked_at;
 use flankscope_record::seal::{Kind, SealError, Seals};
 
-/// Why there is nothing to compare with.
+/// Why a comparison is not possible.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReferenceError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("{path}: {error}")]
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         error: std::io::Error,
     },
-    /// Not what a scan writes.
+    /// The file is not a scan result.
     #[error(
         "{path} is no result of a scan: {error}; the file that scan --json or --report wrote is needed"
     )]
     Document {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         error: serde_json::Error,
     },
-    /// A scan that judged no flank.
+    /// The earlier scan judged no flank.
     #[error("{path} names no flank ({verdict}: {reason}); a scan that could be judged is needed")]
     Empty {
         /// The file.
@@ -44,34 +44,34 @@ pub enum ReferenceError {
         /// Its reason.
         reason: String,
     },
-    /// A scan of the simulated bench beside one of a press.
+    /// One of both scans is from the simulated bench, the other from a press.
     #[error(
         "{path} is a scan of {}, this is one of {}: they say nothing about each other; name a scan of the same die", looked_at(!simulated), looked_at(*simulated)
     )]
     OtherKind {
         /// The file.
         path: PathBuf,
-        /// Whether this scan is of the simulated bench.
+        /// Whether this scan is simulated.
         simulated: bool,
     },
-    /// Signed neither by this station nor by a key that it trusts.
+    /// The file is neither signed by this station nor trusted.
     #[error(transparent)]
     Seal(#[from] SealError),
-    /// A scan against another CAD.
+    /// The earlier scan is relative to another CAD.
     #[error(
         "{path} was measured against another CAD: its BLAKE3 is {got}, this tool's is {expected}"
     )]
     OtherCad {
         /// The file.
         path: PathBuf,
-        /// There.
+        /// BLAKE3 in the earlier scan.
         got: String,
-        /// Here.
+        /// BLAKE3 of this scan's CAD.
         expected: String,
     },
 }
 
-/// The fields of a scan's document that a comparison reads.
+/// Entries of a scan's document that the comparison reads.
 #[derive(Deserialize)]
 struct Document {
     verdict: String,
@@ -95,11 +95,11 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Reads a scan's document, or that in a report's folder; `cad` is the BLAKE3 of this scan's CAD, `simulated` says
-    /// whether it is of the simulated bench.
+    /// Reads a scan's document, or that in a report's folder. `cad` is the BLAKE3 of this scan's CAD, `simulated` states whether
+    /// this scan is simulated.
     ///
     /// # Errors
-    /// It cannot be read, is no scan's, judges no flank, is of another CAD, or of the bench where this is of a press.
+    /// It cannot be read, is not from a scan, judges no flank, has another CAD, or is simulated while this scan is not (or the reverse).
     pub fn load(
         path: &Path,
         cad: Option<&str>,
@@ -149,7 +149,7 @@ impl Reference {
         Ok(Self { flanks })
     }
 
-    /// Compares with this scan's flanks on a gear of so many teeth.
+    /// Compares with this scan's flanks on a gear with `teeth` teeth.
     pub(super) fn compare(&self, seen: &[FlankSeen], teeth: u32) -> Placement {
         let of = |f: &FlankSeen| flank_mean(f.tooth, f.flank, Some(f.mean_um));
         let now: Vec<FlankMean> = seen.iter().filter_map(of).collect();
@@ -157,7 +157,7 @@ impl Reference {
     }
 }
 
-/// A mean loss, positive for what is missing, as a deviation.
+/// Converts a mean loss, positive for missing material, to a deviation.
 fn flank_mean(tooth: u32, flank: Flank, loss_um: Option<f64>) -> Option<FlankMean> {
     Some(FlankMean {
         tooth,
@@ -166,21 +166,21 @@ fn flank_mean(tooth: u32, flank: Flank, loss_um: Option<f64>) -> Option<FlankMea
     })
 }
 
-/// How the die stands against the earlier scan.
+/// Rotation of the die relative to the earlier scan.
 #[derive(Clone, Debug, Serialize)]
 pub struct Placement {
-    /// `same`, `turned` (by whole teeth), or `unknown`: the flanks' own deviations do not tell.
+    /// `same`, `turned` (by whole teeth), or `unknown`: the flanks' own deviations are not distinctive enough.
     pub status: &'static str,
-    /// What that means, in one sentence.
+    /// Explanation in one sentence.
     pub reason: String,
-    /// Teeth that the die is turned by since, positive counter-clockwise seen from above; absent when unknown.
+    /// Teeth by which the die was rotated since, positive counter-clockwise seen from above; absent if unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub turned_teeth: Option<i64>,
     /// Correlation of the flanks' deviations at the best shift.
     pub correlation: Option<f64>,
-    /// Teeth that both scans show then.
+    /// Teeth that both scans show at this shift.
     pub common_teeth: Option<usize>,
-    /// Standard deviations above patterns without relation, at the best and at the next best shift.
+    /// Standard deviations above unrelated patterns, at the best and at the second best shift.
     pub sigmas: Vec<f64>,
 }
 
@@ -220,7 +220,7 @@ impl Placement {
         }
     }
 
-    /// Why the scan is no go, if it is not: its teeth are other ones than they seem.
+    /// Why the scan is not a "go", if so: its teeth are not the ones that their numbers say.
     pub(super) fn objection(&self) -> Option<Reason> {
         let turned = self.turned_teeth.is_some_and(|teeth| teeth != 0);
         turned.then(|| Reason::instrument(Code::TurnedDie, &self.reason))

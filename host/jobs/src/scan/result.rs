@@ -1,4 +1,4 @@
-//! What a scan hands over: the JSON document.
+//! Result of a scan: the JSON document.
 
 use std::collections::BTreeMap;
 
@@ -24,78 +24,78 @@ use flankscope_metrology::multiview::form::Form;
 use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 use flankscope_record::origin::Origin;
 
-/// The whole result: serialised as the `--json` document.
+/// The complete result of a scan, serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scan {
-    /// Where it comes from.
+    /// Link, head, station and operator.
     #[serde(flatten)]
     pub origin: Origin,
-    /// When it ended: ISO 8601, UTC, by the host's clock.
+    /// End of the scan: ISO 8601, UTC, by the host's clock.
     pub date: String,
     /// The verdict.
     pub verdict: Word,
-    /// Why, in one sentence.
+    /// Reason of the verdict, in one sentence.
     pub reason: String,
-    /// One entry per flank that was asked for, and per other flank that shows damage: judged as in a check.
+    /// One entry per requested flank, and per other flank with damage; judged as in a check.
     pub features: Vec<Feature>,
-    /// Mean loss of every flank that was seen, asked for or not: what a later scan recognises the die by.
+    /// Mean loss of every measured flank, requested or not; a later scan recognises the die by it.
     pub flank_means: Vec<FlankSeen>,
-    /// Size, ovality and taper of the bore; absent when too little was seen.
+    /// Size, ovality and taper of the bore; absent if too little was measured.
     pub form: Option<Form>,
-    /// Distances of teeth from those across the bore, where both were seen.
+    /// Distances of opposite teeth across the bore, where both were measured.
     pub spacing: Vec<OppositeTeeth>,
-    /// Where the time went.
+    /// Durations.
     pub timing_ms: Timing,
     /// From the last view's last exposure to this result, ms.
     pub last_view_to_result_ms: f64,
-    /// Frame bookkeeping.
+    /// Frame counts and transfer times.
     pub frames: FrameCount,
-    /// Most memory that this process held at once, MB; absent where the system does not say.
+    /// Peak memory of this process, MB; absent if the system does not report it.
     pub peak_memory_mb: Option<f64>,
-    /// Views around and layers.
+    /// Number of views around, and of layers.
     pub views: String,
-    /// Views taken over from an earlier part of the scan.
+    /// Number of views from an earlier part of the scan.
     pub resumed_views: usize,
-    /// Share of the unrolled bore that was seen.
+    /// Fraction of the unrolled bore that was measured.
     pub coverage_ratio: f64,
-    /// What the plan promised and the map lacks.
+    /// Planned fields, and those missing in the map.
     pub coverage: Coverage,
-    /// Cells in which the views contradict each other, share of those seen.
+    /// Fraction of the measured cells in which views contradict each other.
     pub inconsistent_ratio: f64,
     /// One entry per view.
     pub registration: Vec<ScanRegistration>,
-    /// How the views became one map.
+    /// Data on the stitching.
     pub stitching: Stitching,
-    /// What all views share; absent where they were laid one by one (`--method paper`).
+    /// Common parameters of all views; absent if they were registered one by one (`--method paper`).
     #[serde(rename = "joint", skip_serializing_if = "Option::is_none")]
     pub adjustment: Option<Adjustment>,
-    /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
+    /// Relative excess of the teeth's distances over the CAD's, median over the views; absent if unknown.
     pub teeth_stretch_ratio: Option<f64>,
-    /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
-    /// numbered by being nearest: whether the die was turned by whole teeth, only an earlier scan of it can tell.
+    /// Rotation of the die about the axis relative to stages and head file, degrees. Teeth look alike and are numbered by the
+    /// nearest position; only an earlier scan can show whether the die was rotated by whole teeth.
     pub teeth_turned_deg: f64,
-    /// How the die stands against an earlier scan; absent when none was given.
+    /// Rotation of the die relative to an earlier scan; absent if none was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
-    /// The ways in which these views were stitched, side by side.
+    /// Results of the stitching methods, for comparison.
     pub methods: Vec<MethodResult>,
-    /// The article's metrics on the same points; absent unless a report or the raster was asked for.
+    /// The article's metrics for the same points; absent unless a report or the raster was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
-    /// Profile, helix and pitch of every tooth; absent unless asked for.
+    /// Profile, helix and pitch of every tooth; absent unless requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gear: Option<ScanGear>,
-    /// From the simulated bench alone: what was true.
+    /// True values, from the simulated bench only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<serde_json::Value>,
-    /// Whose word it is; over everything else in it.
+    /// Signature of the station over all other entries.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seal: Option<Seal>,
     /// Tool name.
     pub tool: String,
-    /// Host, protocol, firmware.
+    /// Versions of host, protocol and firmware.
     pub versions: BTreeMap<&'static str, String>,
-    /// BLAKE3 of what went in: CAD, tool file, head file.
+    /// BLAKE3 of the inputs: CAD, tool file, head file.
     pub hashes: BTreeMap<&'static str, String>,
     /// The toothing, as the report draws it.
     #[serde(skip)]
@@ -103,10 +103,10 @@ pub struct Scan {
     /// Deviations over the unrolled bore.
     #[serde(skip)]
     pub map: CylinderMap,
-    /// What the head's calibration adds to the noise in each part of its field.
+    /// Calibration error in each part of the head's field, which adds to the noise.
     #[serde(skip)]
     pub quality: FieldQuality,
-    /// Standard uncertainty of the mean radius, mm, which all cells share; none where no uncertainty is claimed.
+    /// Standard uncertainty of the mean radius, mm, common to all cells; `None` if no uncertainty is stated.
     #[serde(skip)]
     pub size_sigma_mm: Option<f64>,
 }
@@ -118,7 +118,7 @@ impl Scan {
         format!("{}: {}", self.verdict, self.reason)
     }
 
-    /// Takes the standard uncertainty of the mean radius, mm.
+    /// Sets the standard uncertainty of the mean radius, mm.
     pub(super) fn take_size_sigma(&mut self, sigma_mm: f64) {
         self.size_sigma_mm = Some(sigma_mm);
         if let Some(form) = &mut self.form {
@@ -126,7 +126,7 @@ impl Scan {
         }
     }
 
-    /// Standard uncertainty of a cell's deviation from the CAD, mm: its own, and its part of the mean radius's along its normal.
+    /// Standard uncertainty of a cell's deviation from the CAD, mm: its own, and the component of the mean radius's along its normal.
     #[must_use]
     pub fn sigma_mm(&self, cell: &Cell) -> f64 {
         let ([x, y, _], [nx, ny, _]) = (cell.point, cell.normal);
@@ -135,7 +135,7 @@ impl Scan {
         cell.sigma_mm.hypot(radial * size_mm)
     }
 
-    /// It is not the CAD's die: nothing that was measured against the CAD means anything, damage that was found included.
+    /// Invalidates all results, including damage, because the die is not that of the CAD.
     pub(super) fn invalidate(&mut self, why: &Reason) {
         self.verdict = Word::Indeterminate;
         self.reason = why.to_string();
@@ -145,7 +145,7 @@ impl Scan {
         self.form = None;
     }
 
-    /// The points came without their frames: no flank is found sound by them. A loss that is shown to exceed its limit stays.
+    /// The points came without frames, so no flank can be "go". A loss that is proven to exceed its limit stays.
     pub(super) fn without_frames(&mut self) {
         let why = Reason::instrument(
             Code::NoFrames,
@@ -164,13 +164,12 @@ impl Scan {
         }
     }
 
-    /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
-    /// verdict and no flank is judged.
+    /// Replaces our result by that of the article's method. It states no uncertainty, so there is no verdict and no flank is judged.
     pub(super) fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
         let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
         self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
-        // What the joint solve found is not what these poses rest on.
+        // These poses are not based on the joint solution.
         self.adjustment = None;
         self.size_sigma_mm = None;
         self.teeth_stretch_ratio = None;
@@ -197,22 +196,23 @@ impl Scan {
     }
 }
 
-/// Two teeth across the bore.
+/// Two opposite teeth across the bore.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct OppositeTeeth {
     /// The teeth.
     pub teeth: [u32; 2],
     /// Distance of the points on their centre lines at the pitch circle, mm.
     pub distance_mm: f64,
-    /// The same less that of the CAD, µm.
+    /// Deviation of this distance from that of the CAD, µm.
     pub deviation_um: f64,
-    /// Expanded uncertainty of both (95 %), µm: of the cells, of how the views on either side lie, and of the head's
-    /// calibration. What a bore that is larger all around has in common with a head farther from the wall is the CAD's.
+    /// Expanded uncertainty of both (95 %), µm: from the cells, the poses of the views on either side, and the head's
+    /// calibration. A bore that is larger all around cannot be distinguished from a head farther from the wall; this part is
+    /// taken from the CAD.
     pub u95_um: f64,
 }
 
 impl OppositeTeeth {
-    /// With the standard uncertainty of how the views lie, and of the calibration at either tooth, mm.
+    /// Adds the standard uncertainty of the views' poses, and of the calibration at either tooth, mm.
     pub(super) fn new(of: Spacing, views_mm: f64, calibration_mm: f64) -> Self {
         let calibration_mm = std::f64::consts::SQRT_2 * calibration_mm;
         let sigma_mm = of.sigma_mm.hypot(views_mm).hypot(calibration_mm);
@@ -225,7 +225,7 @@ impl OppositeTeeth {
     }
 }
 
-/// Mean loss of one flank as far as it was seen.
+/// Mean loss of the measured part of one flank.
 #[derive(Clone, Debug, Serialize)]
 pub struct FlankSeen {
     /// Tooth, from 1.
@@ -246,7 +246,7 @@ impl From<FlankMean> for FlankSeen {
     }
 }
 
-/// How one view was laid on the CAD.
+/// Registration of one view to the CAD.
 #[derive(Clone, Debug, Serialize)]
 pub struct ScanRegistration {
     /// Number of the view, in order of capture.
@@ -255,81 +255,81 @@ pub struct ScanRegistration {
     pub rotation_deg: f64,
     /// Commanded height, mm.
     pub vertical_mm: f64,
-    /// `registered`, or `lost`: no point of it is in the map.
+    /// `registered`, or `lost`: none of its points is in the map.
     pub status: ViewStatus,
     /// Why it is lost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Distance of its points from the CAD in its final pose, root mean square, µm.
     pub rms_um: Option<f64>,
-    /// The same of its cells about size, place, ovality and taper of the whole bore.
+    /// Root mean square deviation of its cells from the fitted size, position, ovality and taper of the whole bore, µm.
     pub rms_about_form_um: Option<f64>,
-    /// Pose residual: how far it is from what all views share, µm.
+    /// Pose residual relative to the common parameters, µm.
     #[serde(rename = "stray_um")]
     pub residual_um: Option<f64>,
-    /// The same of the angle of its rotary stage, millidegrees.
+    /// Residual of the rotary stage's angle, millidegrees.
     #[serde(rename = "stray_turn_mdeg")]
     pub residual_turn_mdeg: Option<f64>,
     /// Its final pose, row by row: tool frame from camera frame, mm.
     pub tool_from_camera: Option<[[f64; 4]; 4]>,
 }
 
-/// How the views became one map.
+/// Data on the stitching.
 #[derive(Clone, Debug, Serialize)]
 pub struct Stitching {
-    /// Views that were laid on the CAD once more, because they ended up elsewhere.
+    /// Number of views that were registered again, because they had moved.
     pub relaid_views: usize,
-    /// Time of the adjustment, of laying views on once more, and of the merge, ms.
+    /// Time of the adjustment, of the repeated registrations, and of the merge, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
-/// What all views share.
+/// Common parameters of all views.
 #[derive(Clone, Debug, Serialize)]
 pub struct Adjustment {
-    /// Solves until nothing moved.
+    /// Number of rounds until convergence.
     pub rounds: usize,
-    /// Whether it did settle.
+    /// Whether the solution converged.
     pub settled: bool,
-    /// Condition number of the information of all views together, in units of what was known before.
+    /// Condition number of the information of all views together, in units of the prior.
     pub condition: f64,
-    /// Combinations of parameters of which the views say less than was known before, and the share of that.
+    /// Combinations of parameters that the views determine less than the prior does, and the prior's fraction.
     pub weak: Vec<(&'static str, f64)>,
-    /// Steps between views that overlap, before and after what they say of each other counted.
+    /// Steps between overlapping views, before and after the overlaps were used.
     pub steps: Steps,
-    /// Errors found of die, head and stages.
+    /// Estimated errors of die, head and stages.
     pub found: StageErrors,
 }
 
-/// How die, head and stages differ from their files.
+/// Differences of die, head and stages from their files.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StageErrors {
     /// Die off the rotation axis, mm.
     pub eccentricity_mm: f64,
-    /// Where the rotation axis passes the die's lower and upper end, x and y in the tool frame, mm.
+    /// Intersections of the rotation axis with the die's lower and upper end, x and y in the tool frame, mm.
     pub axis_mm: [[f64; 2]; 2],
-    /// Die's axis against the rotation axis, degrees.
+    /// Tilt of the die's axis relative to the rotation axis, degrees.
     pub tilt_deg: f64,
-    /// Turn of the head against its file, degrees, camera axes.
+    /// Rotation of the head relative to its file, degrees, camera axes.
     pub head_turn_deg: [f64; 3],
-    /// Shift of the head against its file, mm, camera axes.
+    /// Shift of the head relative to its file, mm, camera axes.
     pub head_shift_mm: [f64; 3],
-    /// Lean of the vertical axis against the rotation axis, along the wall and towards it, millirad. The second looks like a
-    /// conical die: the views add nothing to what was known of it.
+    /// Tilt of the vertical axis relative to the rotation axis, along the wall and towards it, mrad. The second component looks
+    /// like a conical die: the views add nothing to its prior.
     pub vertical_lean_mrad: [f64; 2],
-    /// Cosine and sine part of the encoder's error once, twice, three times per turn, millidegrees.
+    /// Cosine and sine of the encoder's error at one, two and three periods per revolution, millidegrees.
     pub harmonics_mdeg: [[f64; 2]; 3],
     /// Expanded uncertainties (95 %) of some of these.
     pub u95: StageU95,
 }
 
-/// Expanded uncertainties (95 %) of how die and stages differ from their files.
+/// Expanded uncertainties (95 %) of these differences.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StageU95 {
     /// Of the eccentricity, mm.
     pub eccentricity_mm: f64,
     /// Of the tilt, degrees.
     pub tilt_deg: f64,
-    /// Of the vertical axis's lean, millirad.
+    /// Of the vertical axis's tilt, mrad.
     pub vertical_lean_mrad: [f64; 2],
     /// Of the encoder's harmonics, millidegrees.
     pub harmonics_mdeg: [[f64; 2]; 3],

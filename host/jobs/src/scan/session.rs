@@ -1,7 +1,7 @@
 //! The session folder of a scan: one file of points per view and a manifest with their hashes.
 //!
-//! Files appear whole or not at all, a view's points before the manifest that names them: whenever the scan is killed, the
-//! folder says what is done.
+//! Files are written atomically, and a view's points before the manifest that lists them: the folder is consistent whenever the
+//! scan is interrupted.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -24,52 +24,52 @@ const FORMAT: u32 = 1;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SessionError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("{path}: {error}")]
     Io {
         /// File or folder.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         error: std::io::Error,
     },
-    /// The manifest is none.
+    /// The manifest is invalid.
     #[error("{path} is no scan manifest: {error}; scan into an empty folder")]
     Manifest {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         error: serde_json::Error,
     },
-    /// Another scan's folder.
+    /// The folder belongs to another scan.
     #[error(
         "{path} holds another scan: its {what} is {got}, this scan's is {expected}; scan into an empty folder"
     )]
     Other {
         /// The manifest.
         path: PathBuf,
-        /// What differs.
+        /// Property that differs.
         what: String,
-        /// There.
+        /// Value in the manifest.
         got: String,
-        /// Here.
+        /// Value of this scan.
         expected: String,
     },
-    /// A file that is not what was written.
+    /// A file differs from what was written.
     #[error(
         "{path} is damaged: its BLAKE3 is {got}, the manifest says {expected}; remove the file to have the view captured again"
     )]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Of the file.
+        /// BLAKE3 of the file.
         got: String,
-        /// Of the manifest.
+        /// BLAKE3 in the manifest.
         expected: String,
     },
-    /// Signed neither by this station nor by a key that it trusts.
+    /// The manifest is neither signed by this station nor trusted.
     #[error(transparent)]
     Seal(#[from] SealError),
-    /// A pose that is none.
+    /// A pose is invalid.
     #[error("{path}: the pose of view {view} is no rigid motion")]
     Pose {
         /// The manifest.
@@ -79,13 +79,13 @@ pub enum SessionError {
     },
 }
 
-/// A view that is done.
+/// A finished view.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Entry {
-    /// Of the points' file.
+    /// BLAKE3 of the file of points.
     blake3: String,
-    /// Points in it, before the rays without a point.
+    /// Number of points in it, which come before the rays without a point.
     pub points: usize,
     /// First pose, rows of tool frame from camera frame.
     tool_from_camera: [[f64; 4]; 4],
@@ -95,7 +95,7 @@ pub(super) struct Entry {
 #[serde(deny_unknown_fields)]
 struct Manifest {
     format: u32,
-    /// What must be the same for the scan to go on: grid, tool, CAD, head, and what stands on the simulated bench.
+    /// Properties that must be equal for the scan to be continued: grid, tool, CAD, head, and the settings of a simulated bench.
     of: BTreeMap<String, String>,
     views: BTreeMap<usize, Entry>,
 }
@@ -109,8 +109,7 @@ pub(super) struct Session {
 }
 
 impl Session {
-    /// Opens a folder, made if it is not there. Every file that the manifest names is checked; a missing one is captured
-    /// again.
+    /// Opens a folder, creates it if missing. Every file in the manifest is checked; a view with a missing file is captured again.
     pub fn open(
         folder: &Path,
         of: BTreeMap<String, String>,
@@ -188,7 +187,7 @@ impl Session {
         Ok(session)
     }
 
-    /// What a folder's scan is of, before anything of it is believed.
+    /// Properties of a folder's scan, read without verification.
     pub fn identity(folder: &Path) -> Result<BTreeMap<String, String>, SessionError> {
         #[derive(Deserialize)]
         struct Named {
@@ -208,7 +207,7 @@ impl Session {
         self.folder.join(format!("view-{view:04}.points"))
     }
 
-    /// The views that are done.
+    /// The finished views.
     pub fn views(&self) -> impl Iterator<Item = (usize, &Entry)> {
         self.manifest
             .views
@@ -216,13 +215,13 @@ impl Session {
             .map(|(&view, entry)| (view, entry))
     }
 
-    /// First pose of a view that is done.
+    /// First pose of a finished view.
     pub fn pose(&self, view: usize) -> Option<Rigid<Tool, Camera>> {
         let entry = self.manifest.views.get(&view)?;
         Rigid::from_rows(&entry.tool_from_camera).ok()
     }
 
-    /// Keeps a view's points and first pose.
+    /// Stores a view's points and first pose.
     pub fn keep(
         &mut self,
         view: usize,
@@ -242,7 +241,7 @@ impl Session {
         Ok(())
     }
 
-    /// Writes the manifest: what was kept before is safe from here on.
+    /// Writes the manifest: views stored before are kept from here on.
     pub fn commit(&self) -> Result<(), SessionError> {
         let path = self.folder.join(MANIFEST);
         let text = || -> serde_json::Result<Result<Vec<u8>, SealError>> {
@@ -265,8 +264,8 @@ impl Session {
         &self.folder
     }
 
-    /// A fair sample of a view that is done: its first points. Not checked against the hash, which was when the session was
-    /// opened or the view was kept.
+    /// A random sample of a finished view: its first points. Not checked against the hash again; that was done when the session
+    /// was opened or the view was stored.
     pub fn sample(&self, view: usize, most: usize) -> Result<Vec<ViewPoint>, SessionError> {
         let path = self.file(view);
         let points = self
@@ -284,7 +283,7 @@ impl Session {
         Ok(read_all(&bytes))
     }
 
-    /// The points of a view that is done, checked against their hash.
+    /// The points of a finished view, checked against their hash.
     pub fn points(&self, view: usize) -> Result<KeptView, SessionError> {
         let path = self.file(view);
         let bytes = files::read_regular(&path, files::MOST_DATA_BYTES).map_err(|error| {

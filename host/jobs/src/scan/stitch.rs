@@ -1,8 +1,8 @@
-//! All views of a session to one map: adjustment, laid on the CAD anew until nothing moves, merged by quality.
+//! Stitches all views of a session to one map: adjustment, repeated registration to the CAD until convergence, and a weighted merge.
 //!
-//! What needs all points of a view was done when it was captured. Here the adjustment works on the views' 6x6 information and
-//! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
-//! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
+//! Work that needs all points of a view was done after its capture. Here the adjustment uses the views' 6x6 information and a
+//! sample of their points, and the cells of each view move with it; only a view that moved far is registered to the CAD again.
+//! After convergence, the relative poses of overlapping views are included.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -28,46 +28,46 @@ use crate::plan::{FieldOfView, ViewPlan};
 use flankscope_article::{JointSolve, MethodResult};
 use flankscope_metrology::view::PlannedView;
 
-/// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
+/// Largest number of rounds of solving and registration, in both phases: for every view alone, then with neighbours.
 const MOST_ROUNDS: usize = 6;
-/// A view that moved across the axis by less than this need not be laid on anew, mm: its information is linear to some nm.
+/// A view that moved less than this across the axis need not be registered again, mm: its information is linear to a few nm.
 const SETTLED_MM: f64 = 1e-3;
-/// A view that moved across the axis by more is laid on the CAD again with all its points, mm.
+/// A view that moved more than this across the axis is registered again with all its points, mm.
 const RELAY_MM: f64 = 10e-3;
 
-/// What views are laid on each other in, and with what.
+/// Cell layout and tolerances for the adjustment.
 pub(super) struct Frame {
     /// Cells of the unrolled bore.
     pub layout: Layout,
     pub field: FieldOfView,
-    /// How a single view may lie from what all share.
+    /// Deviation of a single view from the common parameters.
     pub single: Local,
 }
 
-/// Views that were laid on the CAD together.
+/// Views that were registered to the CAD together.
 pub(super) struct Stitched {
-    /// Views that took part, with how they lie.
+    /// Views used, with their information.
     pub views: Vec<(usize, ViewInformation)>,
-    /// Views that do not fit the others.
+    /// Views that do not fit the others, with reasons.
     pub refused: Vec<(usize, Reason)>,
     pub adjustment: Solution,
     pub rounds: usize,
     pub settled: bool,
-    /// How far apart neighbours lie, before and after that counts.
+    /// Steps between neighbours, before and after the overlaps were used.
     pub steps: Steps,
-    /// Views that were laid on the CAD once more.
+    /// Number of views that were registered again.
     pub relaid: usize,
     pub map: CylinderMap,
-    /// Of every view, root mean square of its cells' deviations about the form of the whole bore, mm; none where the map has
-    /// no form, or the view no cell.
+    /// For every view, root mean square of its cells' deviations from the form of the whole bore, mm; `None` if the map has no
+    /// form, or the view no cell.
     pub rms_about_form_mm: Vec<Option<f64>>,
     pub quality: FieldQuality,
-    /// Time of each part, ms.
+    /// Duration of each step, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
 impl Stitched {
-    /// What the article's figures and its comparison take of it.
+    /// The part that the article's figures and comparison use.
     pub fn solve(&self) -> JointSolve<'_> {
         JointSolve {
             views: &self.views,
@@ -77,7 +77,7 @@ impl Stitched {
         }
     }
 
-    /// The figures of both methods for it.
+    /// Figures of both methods for it.
     pub fn figures(
         &self,
         session: &Session,
@@ -96,7 +96,7 @@ impl Stitched {
     }
 }
 
-/// The information of views that are done, each at its first pose.
+/// The information of finished views, each at its first pose.
 pub(super) fn first_information(
     session: &Session,
     tool: &Tool,
@@ -115,7 +115,7 @@ pub(super) fn first_information(
     Ok(found?.into_iter().flatten().collect())
 }
 
-/// Stitches views, as each was laid on first.
+/// Stitches views, starting at their first poses.
 pub(super) fn stitch(
     session: &Session,
     patches: &mut Patches,
@@ -186,7 +186,7 @@ pub(super) fn stitch(
     })
 }
 
-/// The views on the CAD with what they share, on the way to where nothing moves.
+/// The registered views with their common parameters, before convergence.
 struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
@@ -219,8 +219,8 @@ impl<'a> Common<'a> {
         })
     }
 
-    /// Lays the views on the CAD where the solution puts them and solves again, with what they then say of each other, until
-    /// nothing moves. Returns the overlaps of the last round.
+    /// Registers the views at the poses of the solution and solves again, including overlaps, until convergence. Returns the
+    /// overlaps of the last round.
     fn settle(
         &mut self,
         overlaps: impl Fn(&[(usize, ViewInformation)]) -> Result<Vec<Overlap>, SessionError>,
@@ -229,7 +229,7 @@ impl<'a> Common<'a> {
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
             let (laid, dropped) = laid_anew(self, &self.views, &self.adjustment)?;
-            // A view that drops out moves the others: another round then.
+            // A view that drops out changes the others, so another round is needed.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
@@ -253,7 +253,7 @@ impl<'a> Common<'a> {
         Ok(pairs)
     }
 
-    /// Lays views that moved far on the CAD again with all their points; returns how many.
+    /// Registers views that moved far again with all their points; returns their number.
     fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
         let mut relaid = 0;
         for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
@@ -274,8 +274,8 @@ impl<'a> Common<'a> {
         Ok(relaid)
     }
 
-    /// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the
-    /// teeth are straight.
+    /// Largest motion of any part of a view across the axis between two poses, mm. Motion along the axis has no effect, because
+    /// the teeth are straight.
     fn moved_mm(&self, info: &ViewInformation, from: &CameraPose, to: &CameraPose) -> f64 {
         let to_edge_mm = 0.5 * self.frame.field.width_mm;
         let centre = Point3::from(info.centre_mm);
@@ -283,15 +283,15 @@ impl<'a> Common<'a> {
         (motion * centre - centre).xy().norm() + motion.rotation.angle() * to_edge_mm
     }
 
-    /// Where every view is, by its number.
+    /// Pose of every view, by its number.
     fn poses(&self) -> BTreeMap<usize, CameraPose> {
         let views = self.views.iter().zip(&self.adjustment.poses);
         views.map(|((view, _), pose)| (*view, *pose)).collect()
     }
 }
 
-/// Merges views by what their noise says first, learns from that what calibration adds in which part of the field, and merges
-/// once more by both.
+/// Merges views weighted by their noise, estimates from the result the calibration error in each part of the field, and merges
+/// again weighted by both.
 fn merge(
     layout: Layout,
     field_slope: f64,
@@ -324,8 +324,7 @@ fn solved(
 
 type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 
-/// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
-/// why.
+/// The moved views with their samples registered at the poses of the solution; and those that do not fit there, with reasons.
 fn laid_anew(
     common: &Common<'_>,
     views: &[(usize, ViewInformation)],

@@ -1,4 +1,4 @@
-//! One captured view to points and a first pose, predicted from the views before it.
+//! From one captured view to points and a first pose, which is predicted from the earlier views.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,57 +28,57 @@ use crate::plan::{FieldOfView, ViewPlan};
 use crate::subject::Subject;
 use flankscope_article::ViewPoint;
 
-/// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
+/// Number of points that represent a view's pose; the first ones, because points are stored in random order.
 pub(super) const SAMPLE: usize = 4_000;
-/// Points of the view's own registration.
+/// Number of points of the view's own registration.
 const FIRST_POSE: usize = 12_000;
-/// A view may bend to the form of the piece while it finds its own pose: shift (mm) and turn (rad) allowed for that.
+/// Tolerance for the form error of the workpiece while a view finds its own pose: shift (mm) and rotation (rad).
 const BEND_MM: f64 = 30e-3;
 const BEND_RAD: f64 = 2e-3;
-/// A place known worse than this share of the pitch is searched for.
+/// If the position is known worse than this fraction of the pitch, it is searched for.
 const SEARCH_PITCH: f64 = 0.1;
-/// A first pose is good enough when its last step was shorter, mm.
+/// A first pose is accepted if its last step was shorter than this, mm.
 const NEARLY_MM: f64 = 10e-3;
-/// A view whose points lie farther from the CAD than this looks at another part, mm.
+/// A view whose points are farther from the CAD shows another part, mm.
 const MOST_RMS_MM: f64 = 0.05;
-/// And so does one with fewer of its points on the CAD.
+/// A view with a smaller fraction of its points on the CAD shows another part, too.
 const LEAST_SHARE: f64 = 0.6;
-/// Up to so many views each one renews the adjustment, then every so many.
+/// Up to this number of views the adjustment is updated at each one, then at every such number.
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
-/// What is kept of a view.
+/// Stored data of a view.
 #[derive(Clone, Debug, Default)]
 pub(super) struct KeptView {
-    /// Its points, in shuffled order.
+    /// Its points, in random order.
     pub points: Vec<ViewPoint>,
-    /// Where the rays without a point look: x and y at z = 1, camera frame.
+    /// Directions of the rays without a point: x and y at z = 1, camera frame.
     pub without_point: Vec<[f32; 2]>,
 }
 
 /// One view of a scan, decoded and registered by itself.
 #[derive(Debug)]
 pub(super) struct ScannedView {
-    /// Its points.
+    /// Its points and rays without a point.
     pub kept: KeptView,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: CameraPose,
-    /// The view laid on the CAD, or why it must not be used.
+    /// The registered view, or why it must not be used.
     pub laid: Result<LaidView, Reason>,
 }
 
-/// A view on the CAD.
+/// A view registered to the CAD.
 #[derive(Debug)]
 pub(crate) struct LaidView {
-    /// What it says about its pose, at the best one by what was known of the others at the time.
+    /// Information on its pose, at the best pose given the other views at that time.
     pub information: ViewInformation,
-    /// What it says of the map, there.
+    /// Its contribution to the map at this pose.
     pub cell_observations: Vec<CellObservation>,
-    /// What it saw of every flank, there.
+    /// Its points on every flank at this pose.
     pub flanks: BTreeMap<(u32, Flank), FlankView>,
 }
 
-/// The compute thread's state.
+/// State of the compute thread.
 pub(super) struct ViewScanner {
     tool: Arc<Tool>,
     gear: GearData,
@@ -86,7 +86,7 @@ pub(super) struct ViewScanner {
     decoder: Arc<Decoder>,
     plan: Arc<ViewPlan>,
     adjustment: Solution,
-    /// How a view may lie from what all share.
+    /// Deviation of a single view from the common parameters.
     single: Local,
     field: FieldOfView,
     known: BTreeMap<usize, ViewInformation>,
@@ -120,7 +120,7 @@ impl ViewScanner {
         Ok(scanner)
     }
 
-    /// Decodes a view and lays it on the CAD.
+    /// Decodes a view and registers it to the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
         let decoded = self.decoder.finish(sums);
         let decoded = decoded.map_err(|error| Reason::instrument(Code::Decoding, error));
@@ -160,8 +160,8 @@ impl ViewScanner {
         )
     }
 
-    /// Lays points on the CAD of which nothing is known but where they are, camera frame, and how sure each is. Of fringes they say
-    /// nothing, and a ray of the head without a point within half a cell saw nothing.
+    /// Registers points with known positions (camera frame) and uncertainties, but without frames. They have no fringe
+    /// modulation, and a ray of the head without a point within half a cell counts as unmeasured.
     pub fn lay_cloud(
         &mut self,
         view: usize,
@@ -186,7 +186,7 @@ impl ViewScanner {
         )
     }
 
-    /// Lays a view on the CAD, from where the stages and the views before it say that it is.
+    /// Registers a view to the CAD, starting at the pose predicted from the stages and the earlier views.
     fn lay_on(&mut self, view: usize, kept: KeptView) -> ScannedView {
         let at = Pose::from(&self.plan.views[view]);
         let mut prior = self.adjustment.predict(at);
@@ -229,7 +229,7 @@ impl ViewScanner {
         }
     }
 
-    /// Adds a view to what is known of all, and lays its points where it then is.
+    /// Adds a view to the adjustment, and registers its points at the resulting pose.
     fn lay(&mut self, view: usize, information: ViewInformation, kept: &KeptView) -> LaidView {
         self.known.insert(view, information.clone());
         if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
@@ -249,15 +249,14 @@ impl ViewScanner {
 
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
-        // A solve that breaks down leaves the prediction as it was; the final one reports it.
+        // If the solution fails, the prediction stays unchanged; the final solution reports the error.
         if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], self.single) {
             self.adjustment = adjustment;
         }
     }
 }
 
-/// Points that do not stand alone, shuffled the same way every time, so that the first thousand are a fair sample of all; and those
-/// that do.
+/// The points without outliers, in a reproducible random order, so that the first thousand are a fair sample; and the outliers.
 fn fair_order(points_mm: &[[f64; 3]]) -> (Vec<usize>, Vec<usize>) {
     let kept = outlier::statistical(points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
     let (mut order, dropped): (Vec<usize>, Vec<usize>) =
@@ -266,7 +265,7 @@ fn fair_order(points_mm: &[[f64; 3]]) -> (Vec<usize>, Vec<usize>) {
     (order, dropped)
 }
 
-/// Where the head's rays look that have none of these points within half a cell, at z = 1.
+/// Directions of the head's rays without a point within half a cell, at z = 1.
 fn rays_far_from(decoder: &Decoder, points: &[ViewPoint]) -> Vec<[f32; 2]> {
     let directions = (0..).map_while(|cell| decoder.direction(cell));
     let rays: Vec<[f64; 3]> = directions.map(|[x, y]| [x, y, 0.0]).collect();
@@ -276,7 +275,7 @@ fn rays_far_from(decoder: &Decoder, points: &[ViewPoint]) -> Vec<[f32; 2]> {
         .collect();
     let far = match SampleTree::new(&seen) {
         Ok(tree) => tree.distances(&rays, Order::Infinity),
-        // No point at all.
+        // The cloud has no points.
         Err(_) => vec![f64::INFINITY; rays.len()],
     };
     let is_without = |(_, far): &(&[f64; 3], &f64)| **far > 0.5 * decoder.cell_by_depth();
@@ -286,20 +285,20 @@ fn rays_far_from(decoder: &Decoder, points: &[ViewPoint]) -> Vec<[f32; 2]> {
         .collect()
 }
 
-/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
-/// there.
+/// Whether a view's registration converged to within some µm: at a rim, points enter and leave with every step. The adjustment
+/// continues from there.
 fn nearly_settled(reason: &registration::RegistrationFailure) -> bool {
     matches!(reason, registration::RegistrationFailure::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
 }
 
-/// A view that lies elsewhere.
+/// Reason for a view that does not fit the CAD.
 pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
     Reason::instrument(Code::OffCad, sentence)
 }
 
-/// Why a view cannot show the part of the CAD.
+/// Why a view cannot show this part of the CAD.
 pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
-    // What is no number fits nothing.
+    // NaN does not fit.
     let fits = view.rms_mm <= MOST_RMS_MM && view.share >= LEAST_SHARE;
     (!fits).then(|| {
         off_cad(format_args!(
@@ -321,7 +320,7 @@ pub(super) fn coordinates(points: &[ViewPoint], most: usize) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// How well it is known where the head looks, mm.
+/// Uncertainty of the position that the head looks at, mm.
 fn place_sigma_mm(covariance: &Matrix6<f64>, reach_mm: f64) -> f64 {
     let turn: f64 = (0..3).map(|i| covariance[(i, i)]).sum();
     let shift: f64 = (3..6).map(|i| covariance[(i, i)]).sum();

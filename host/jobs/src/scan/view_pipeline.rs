@@ -20,23 +20,23 @@ use crate::plan::ViewPlan;
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::ViewError;
 
-/// Masks nothing, but has every point say how much the fringes oscillate around it (smoothed over two fibre cores).
+/// Masks nothing, but gives every point the fringe modulation around it (smoothed over two fibre cores).
 const FRINGES_ONLY: MaskOptions = MaskOptions {
     threshold_dn: 0.0,
     smoothing_px: 7.0,
 };
 
-/// What is kept of the views that are done.
+/// Stored data of finished views.
 #[derive(Debug)]
 pub(super) struct Store {
     pub session: Session,
     pub patches: Patches,
-    /// What each says of its pose, where it was laid on.
+    /// Each view's information on its pose, at its first pose.
     pub known: BTreeMap<usize, ViewInformation>,
 }
 
 impl Store {
-    /// Keeps a view that lies on the CAD.
+    /// Stores a view that is registered to the CAD.
     pub fn keep(&mut self, view: usize, scanned: ScannedView) -> Result<Kept, ScanError> {
         let laid = match scanned.laid {
             Ok(laid) => laid,
@@ -55,22 +55,22 @@ impl Store {
 /// Whether a view was kept.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kept {
-    /// It lies on the CAD and is in the session folder.
+    /// It is registered to the CAD and stored in the session folder.
     Kept,
     /// It cannot be used, for this reason.
     Refused(Reason),
 }
 
-/// Which views a scan takes.
+/// Views of a scan.
 #[derive(Clone, Debug)]
 pub(super) struct PlannedScan {
     pub plan: ViewPlan,
-    /// What they are called.
+    /// Name of the set of views.
     pub name: String,
 }
 
 impl PlannedScan {
-    /// Those of a grid, for tool and head of a subject.
+    /// The views of a grid, for tool and head of a subject.
     pub fn of(grid: Grid, subject: &Subject) -> Result<Self, ScanError> {
         let plan = grid.plan(&subject.tool, &subject.head);
         Ok(Self {
@@ -80,7 +80,7 @@ impl PlannedScan {
     }
 }
 
-/// Everything that turns frames into kept views.
+/// Converts frames to stored views.
 pub(super) struct ViewPipeline {
     pub plan: Arc<ViewPlan>,
     pub decoder: Arc<Decoder>,
@@ -89,7 +89,7 @@ pub(super) struct ViewPipeline {
 }
 
 impl ViewPipeline {
-    /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
+    /// Opens the session folder, which may hold an earlier part of the same scan; `further` properties must then be equal.
     pub fn open(
         subject: &Subject,
         PlannedScan { plan, name }: PlannedScan,
@@ -134,8 +134,8 @@ impl ViewPipeline {
     }
 }
 
-/// Views from recorded frames, without an instrument: summed, laid on the CAD and kept exactly as in a running scan, which
-/// can then stitch them from the session folder.
+/// Processes recorded frames without an instrument: summed, registered and stored exactly as in a live scan, which can then
+/// stitch them from the session folder.
 pub struct Processing {
     pipeline: ViewPipeline,
     sums: Accumulator,
@@ -145,7 +145,7 @@ impl Processing {
     /// Opens the session folder.
     ///
     /// # Errors
-    /// The subject is unfit, or the folder is another scan's or damaged.
+    /// Tool or head lack what the job needs, or the folder belongs to another scan or is damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
         let planned = PlannedScan::of(grid, subject)?;
         let pipeline = ViewPipeline::open(subject, planned, folder, &BTreeMap::new())?;
@@ -153,13 +153,13 @@ impl Processing {
         Ok(Self { pipeline, sums })
     }
 
-    /// Where the views are taken, and by which patterns and exposures.
+    /// Positions, patterns and exposures of the views.
     #[must_use]
     pub fn plan(&self) -> &ViewPlan {
         &self.pipeline.plan
     }
 
-    /// Processes the frames of a view, in their order of capture, and keeps it, if it lies on the CAD.
+    /// Processes the frames of a view, in their order of capture, and stores it if it fits the CAD.
     ///
     /// # Errors
     /// A frame does not fit the plan, or the session folder cannot be written.
@@ -190,7 +190,7 @@ pub enum ProcessingError {
     /// A frame does not fit the plan.
     #[error(transparent)]
     Frame(#[from] ViewError),
-    /// The scan's folder, tool or head.
+    /// Error of the scan's folder, tool or head.
     #[error(transparent)]
     Scan(#[from] ScanError),
 }

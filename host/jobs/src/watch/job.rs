@@ -1,4 +1,4 @@
-//! Cycles in, checks at the right moment, verdicts out.
+//! The watch: follows the press cycles, runs checks when due, and shows verdicts.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -29,17 +29,17 @@ pub struct WatchSettings {
     pub hold_limit: Duration,
 }
 
-/// One check of the watch; serialised as its line.
+/// One check of the watch, serialised as a line of JSON.
 #[derive(Debug, Serialize)]
 pub struct Checked {
     /// Press cycles when it began.
     pub cycle: u32,
-    /// What it found.
+    /// Its result.
     pub inspection: Inspection,
-    /// What the press is shown since.
+    /// Verdict that the press is shown from then on.
     #[serde(serialize_with = "word")]
     pub shown: Shown,
-    /// Several checks in a row found nothing.
+    /// Several checks in a row gave no result.
     #[serde(skip)]
     pub needs_maintenance: bool,
 }
@@ -56,25 +56,25 @@ pub enum WatchEvent {
     Cycle(u32),
     /// The press is held for a check.
     Checking(u32),
-    /// The head was not let in at this cycle, for this reason.
+    /// The press did not let the head in at this cycle, for this reason.
     Missed(u32, FaultCode),
-    /// A check is over.
+    /// A check has ended.
     Checked(Box<Checked>),
-    /// The watch goes on where an earlier one ended: this is still shown.
+    /// The watch continues an earlier one; this verdict is still shown.
     Resumed(Shown),
-    /// Somebody acknowledged.
+    /// A verdict was acknowledged.
     Acknowledged,
-    /// An acknowledgement could not be noted, and does not count.
+    /// An acknowledgement could not be stored, and does not count.
     NotAcknowledged(HistoryError),
 }
 
 impl Job<ViewOutcome> {
-    /// Watches the press until `settings.cycles` have passed or `tell` says stop (false); a message on `acknowledged`
-    /// clears a latched no-go, whoever sent it: a name, or nothing. Every check waits for `writer`, where there is one.
-    /// Returns what the press was shown last.
+    /// Watches the press until `settings.cycles` have passed or `tell` returns false. A message on `acknowledged` clears a
+    /// latched no-go; it is the name of the sender, or empty. Every check waits for `writer`, if there is one. Returns the
+    /// verdict shown last.
     ///
     /// # Errors
-    /// The watch cannot begin, or the link to the controller is gone.
+    /// The watch cannot begin, or the link to the controller is lost.
     pub fn watch(
         &mut self,
         port: &Path,
@@ -97,17 +97,17 @@ impl Job<ViewOutcome> {
     }
 }
 
-/// Why there is no watch, or none any more.
+/// Why the watch cannot begin, or ended.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WatchError {
-    /// Controller or camera cannot be worked with.
+    /// Controller or camera cannot be used.
     #[error(transparent)]
     Acquisition(#[from] AcquisitionError),
     /// A check could not begin.
     #[error(transparent)]
     Check(#[from] InspectError),
-    /// What stood at the press before is not known.
+    /// The verdict shown before cannot be read.
     #[error(transparent)]
     History(#[from] HistoryError),
 }
@@ -118,22 +118,22 @@ impl From<ClientError> for WatchError {
     }
 }
 
-/// A watch between two events.
+/// State of a watch between two events.
 struct Watch<'a, T> {
     job: &'a mut Job<ViewOutcome>,
     client: Client,
     settings: &'a WatchSettings,
     writer: Option<&'a mut HistoryWriter>,
-    /// Says stop by false.
+    /// Called with every event; returns false to stop.
     tell: T,
     latch: Latch,
-    /// No other watch has this die.
+    /// Prevents other watches of this die.
     _hold: Option<Hold>,
     /// Press cycles by the controller's counter: when it began, now, and at the last check.
     first: u32,
     cycle: u32,
     checked_at: u32,
-    /// A verdict that is not repeated goes stale, and a stale verdict is a no-go.
+    /// Interval of repeating the verdict: without repetition it expires, and the press treats an expired verdict as no-go.
     refresh: Duration,
     next_refresh: Instant,
 }
@@ -168,7 +168,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         })
     }
 
-    /// Tells something; breaks when that is the last thing.
+    /// Reports an event; breaks if the caller stops the watch.
     fn tell(&mut self, told: WatchEvent) -> ControlFlow<()> {
         if (self.tell)(told) {
             ControlFlow::Continue(())
@@ -177,7 +177,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         }
     }
 
-    /// From one event to the next.
+    /// Handles one event.
     async fn step(
         &mut self,
         acknowledged: &Receiver<String>,
@@ -225,7 +225,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Somebody has looked; that counts once it is noted.
+    /// Handles an acknowledgement, which counts once it is stored.
     fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
         let noted = match &mut self.writer {
             Some(writer) => writer.acknowledge(&self.job.die(), name),
@@ -234,7 +234,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         let told = match noted {
             Ok(()) => {
                 self.latch.acknowledge();
-                // Check again at the next opening.
+                // Checks again at the next opening.
                 self.checked_at = self.cycle.wrapping_sub(self.settings.every);
                 WatchEvent::Acknowledged
             }
@@ -243,7 +243,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         self.tell(told)
     }
 
-    /// Shows the press what stands.
+    /// Sends the present verdict to the press.
     async fn show(&mut self) -> Result<(), WatchError> {
         let go = self.latch.shown().is_go();
         self.client.order(&Command::ShowVerdict { go }).await?;
@@ -251,7 +251,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         Ok(())
     }
 
-    /// Checks now, stores, latches and shows what was found.
+    /// Runs a check, stores, latches and shows its result.
     async fn check(&mut self) -> Result<ControlFlow<()>, WatchError> {
         if self.tell(WatchEvent::Checking(self.cycle)).is_break() {
             return Ok(ControlFlow::Break(()));
@@ -263,7 +263,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             .check(source, hold_limit, &mut self.writer, &mut |_| {})
             .await;
         let inspection = match check {
-            // The press was faster than the order: the next opening will do.
+            // The press closed before the command arrived: the check is made at the next opening.
             Err(InspectError::Acquisition(AcquisitionError::Client(ClientError::Refused(
                 Refusal::Interlock { fault },
             )))) => return Ok(self.tell(WatchEvent::Missed(self.cycle, fault))),

@@ -1,4 +1,5 @@
-//! The instrument by itself: every N press cycles it asks for the die, checks, gives the press back and shows a verdict.
+//! Unattended operation: every N press cycles the watch waits for the press to open, checks the die, releases the press and shows
+//! a verdict.
 //!
 //! ```text
 //!  press cycles ──► every N-th: wait for the press to open ──► check ──► latch ──► verdict at the press

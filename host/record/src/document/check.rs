@@ -1,4 +1,4 @@
-//! What an inspection hands over: the JSON document, and what the report draws from.
+//! Result of a check: the JSON document, and the data that the report draws.
 
 use std::collections::BTreeMap;
 
@@ -20,22 +20,22 @@ use crate::document::{Evidence, FeatureId, FlankInView, Phasors, Recipe, ToothId
 use flankscope_foundation::activity::Activity;
 use flankscope_profilometry::Picture;
 
-/// One inspected flank or patch: a row of the table.
+/// Result of one inspected flank or patch: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
     /// Which one.
     #[serde(flatten)]
     pub id: FeatureId,
-    /// Wear, µm, positive for loss; absent when it could not be measured.
+    /// Wear, µm, positive for loss; absent if it could not be measured.
     pub wear_um: Option<f64>,
-    /// Expanded uncertainty of the wear (95 %), µm; absent of a lower bound.
+    /// Expanded uncertainty of the wear (95 %), µm; absent if only a lower bound is known.
     pub u95_um: Option<f64>,
-    /// Where unseen parts may have lost so much that no interval about the wear holds: what was lost at least (95 %), µm.
+    /// Lower bound of the wear (95 %), µm. Given if unmeasured parts may have lost so much that no interval about the wear holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_least_um: Option<f64>,
     /// Mean loss over the zone, µm.
     pub mean_um: Option<f64>,
-    /// Part of the zone that was measured, 0..1.
+    /// Fraction of the zone that was measured, 0..1.
     pub coverage_ratio: f64,
     /// Warn limit, µm.
     pub warn_um: f64,
@@ -43,9 +43,9 @@ pub struct Feature {
     pub limit_um: f64,
     /// Probability that the wear is below the stop limit; absent when it could not be measured.
     pub conformity: Option<f64>,
-    /// What else is known of the flank; absent when it could not be measured.
+    /// Further results of the flank; absent if it could not be measured.
     pub detail: Option<FlankDetail>,
-    /// Where it was measured more than once: the figure of each capture alone, µm.
+    /// If it was measured more than once: the wear by each single capture, µm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub measurements: Vec<Option<Expanded>>,
     /// Its verdict.
@@ -53,32 +53,32 @@ pub struct Feature {
     /// Why it is not go.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// What kind of reason, where it is indeterminate.
+    /// Class of the reason, if the verdict is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub code: Option<Code>,
 }
 
-/// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
+/// Results besides the judged wear, each with its expanded uncertainty (95 %), and the uncertainty budget.
 #[derive(Clone, Debug, Serialize)]
 pub struct FlankDetail {
-    /// Wear depth against CAD, µm; beside the wear, which is the difference to the baseline where there is one.
+    /// Wear depth relative to CAD, µm. The judged wear is relative to the baseline if there is one.
     pub absolute_um: Expanded,
     /// Expanded uncertainty of the mean loss, µm.
     pub mean_u95_um: f64,
-    /// The largest mean loss over a disc as read, µm: without what noise adds to a maximum taken off.
+    /// Largest mean loss over a disc before correction, µm: the expected contribution of noise to a maximum is not subtracted.
     pub raw_um: f64,
-    /// Middle of that disc, mm: along the profile from the zone's smaller radius, and up from its lower end.
+    /// Centre of that disc, mm: along the profile from the zone's smaller radius, and up from its lower end.
     pub deepest_at_mm: [f64; 2],
     /// Area of the disc, mm².
     pub area_mm2: f64,
-    /// Of a scan, lower and upper end of the zone that these figures are of, mm.
+    /// For a scan: lower and upper end of the zone that these results apply to, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub zone_height_mm: Option<[f64; 2]>,
-    /// Largest mean height of proud material over such a disc, µm; negative where all of the zone has lost.
+    /// Largest mean height of proud material over such a disc, µm; negative if the whole zone has lost material.
     pub proud_um: Expanded,
     /// Its warning and stop limit, µm.
     pub proud_limits_um: [f64; 2],
-    /// Loss of the single cell that lost most, by the median of its points, µm; absent where no cell has three points.
+    /// Loss of the cell with the largest loss, by the median of its points, µm; absent if no cell has three points.
     pub cell_um: Option<Expanded>,
     /// Its warning and stop limit, µm.
     pub cell_limits_um: [f64; 2],
@@ -96,16 +96,16 @@ pub struct FlankDetail {
     pub tip_edge_radius_mm: Option<Expanded>,
     /// Its warning and stop limit, mm.
     pub tip_limits_mm: Option<[f64; 2]>,
-    /// The largest mean loss that a disc with unmeasured parts may have, µm; absent when every disc was measured whole.
+    /// Largest mean loss that is possible for a disc with unmeasured parts, µm; absent if every disc was measured completely.
     pub hidden_um: Option<f64>,
-    /// Least wear that is told from none with 5 % errors of both kinds, µm.
+    /// Smallest wear that is distinguished from none with errors of 5 % of both kinds, µm.
     pub detection_limit_um: f64,
     /// Standard uncertainty of the wear by source, µm.
     pub budget_um: BTreeMap<&'static str, f64>,
 }
 
 impl FlankDetail {
-    /// The sources of uncertainty that are not nothing at the precision of a report.
+    /// Sources of uncertainty that are not zero at the precision of a report.
     #[must_use]
     pub fn shown_budget(&self) -> Vec<(&'static str, f64)> {
         let shown = self.budget_um.iter().filter(|(_, um)| **um >= 0.005);
@@ -113,7 +113,7 @@ impl FlankDetail {
     }
 }
 
-/// A figure with its expanded uncertainty (95 %), same unit.
+/// A value with its expanded uncertainty (95 %) in the same unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Expanded {
     /// Value.
@@ -122,7 +122,7 @@ pub struct Expanded {
     pub u95: f64,
 }
 
-/// Where the time went, ms.
+/// Durations of a check, ms.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Timing {
     /// From the start order to the verdict with the head retracted.
@@ -146,25 +146,24 @@ pub struct FrameCount {
     pub bytes_copied: u64,
     /// Views that had to be captured again.
     pub recaptured_views: u32,
-    /// The latest that a trigger or a frame was against the clock of who told of it, ms; absent where that clock is not real
-    /// time.
+    /// Largest delay of a trigger or frame relative to the clock of the device that reports it, ms; absent if that clock is not real time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub late_ms: Option<f64>,
-    /// From hand-over by the camera process to sight by the host.
+    /// Time from hand-over by the camera process to reception by the host.
     pub handover_us: Handover,
 }
 
-/// How long frames were on their way, µs.
+/// Distribution of the transfer times of frames, µs.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Handover {
-    /// Half of the frames were faster.
+    /// Median.
     pub median: f64,
-    /// 99 of 100 frames were faster.
+    /// 99th percentile.
     pub p99: f64,
 }
 
 impl Handover {
-    /// From the times of all frames; zeros where there are none. Sorts them.
+    /// From the times of all frames; zeros without any. Sorts the times.
     #[must_use]
     pub fn of(times_ns: &mut [u64]) -> Self {
         times_ns.sort_unstable();
@@ -181,15 +180,15 @@ impl Handover {
     }
 }
 
-/// Whether a view was laid on the CAD.
+/// Whether a view was registered to the CAD.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ViewStatus {
-    /// It was.
+    /// Registered.
     Registered,
-    /// A view of a check was not.
+    /// A view of a check was not registered.
     Indeterminate,
-    /// A view of a scan was not.
+    /// A view of a scan was not registered.
     Lost,
 }
 
@@ -203,21 +202,21 @@ impl std::fmt::Display for ViewStatus {
     }
 }
 
-/// How one view was laid on the CAD.
+/// Registration of one view to the CAD.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewRegistration {
     /// Tooth in the middle of the view.
     pub tooth: u32,
-    /// Whether it was.
+    /// Whether it was registered.
     pub status: ViewStatus,
-    /// Why it is indeterminate.
+    /// Why it was not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Points decoded.
     pub points: usize,
-    /// Part of the cells with fringes whose frames do not follow one.
+    /// Fraction of the cells with fringes whose frames do not fit a sinusoid.
     pub inconsistent_ratio: f64,
-    /// What the view says of its light; absent where it was not decoded.
+    /// Measured properties of the light; absent if the view was not decoded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light: Option<Light>,
     /// Points that the fit used.
@@ -226,126 +225,128 @@ pub struct ViewRegistration {
     pub rms_mm: f64,
     /// Iterations.
     pub iterations: usize,
-    /// How far the pose moved from the stage's: along x, y, z of the tool, mm.
+    /// Correction of the stage's pose by the registration: along x, y, z of the tool, mm.
     pub shift_mm: [f64; 3],
-    /// And about x, y, z, rad.
+    /// Correction about x, y, z of the tool, rad.
     pub turn_rad: [f64; 3],
-    /// By flank: the part of the wear that the pose would hide, for three shapes of wear on the judged flank, and for wear
-    /// that all teeth in view share.
+    /// For each flank: fraction of the wear that the fitted pose would absorb, for three shapes of wear on the judged flank and
+    /// for wear that all teeth in view share.
     pub leakage: BTreeMap<&'static str, Leakage>,
-    /// Directions that the surface does not fix: unit 6-vectors (rotation, translation) and the prior's share.
+    /// Directions that the surface does not determine: unit 6-vectors (rotation, translation) and the fraction of information
+    /// that the prior gives.
     pub weak_directions: Vec<WeakDirection>,
     /// Decoding, registration and evaluation, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
-/// What a view says of its light: whether it came from the projector alone, by one way.
+/// Properties of the light in a view, which show whether it came from the projector alone and by one path.
 #[derive(Clone, Debug, Serialize)]
 pub struct Light {
     /// Cells without a point, by the first reason found.
     pub rejected: Rejected,
-    /// Median contrast of each frequency over the cells with a point: what it lacks of one is indirect light, or the optics.
+    /// Median contrast of each frequency over the cells with a point. A loss at one frequency is due to indirect light or the optics.
     pub contrast: Vec<f64>,
-    /// Direct and global light, medians over the points; absent without any.
+    /// Direct and global light, medians over the points; absent without points.
     #[serde(flatten)]
     pub medians: Option<LightMedians>,
-    /// What two projectors made of the view; absent of a head with one.
+    /// Comparison of two projectors in the view; absent if the head has one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub projectors: Option<Projectors>,
-    /// Part of the points whose fringe order is another than the drawing's at the pose found: damage deeper than half a fringe,
-    /// another die, light over a second surface. It is told and changes nothing: the frequencies alone say which order it is.
+    /// Fraction of the points whose fringe order differs from that of the drawing at the fitted pose. Causes: damage deeper than
+    /// half a fringe, another die, light reflected by a second surface. It is reported only: the fringe order follows from the
+    /// frequencies alone.
     pub other_order_ratio: f64,
 }
 
-/// A direction of motion that the measured surface says little about.
+/// A direction of motion about which the measured surface gives little information.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct WeakDirection {
     /// Rotation (3) and translation (3), unit length in scaled units.
     pub direction: [f64; 6],
-    /// Part of the knowledge that comes from the stage, 0..1.
+    /// Fraction of the information that comes from the stage, 0..1.
     pub prior_share: f64,
 }
 
-/// The whole result: serialised as the `--json` document.
+/// The complete result of a check, serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Inspection {
-    /// Number of the check in the history that it was stored in; null where it is in none.
+    /// Number of the check in the history; null if it was not stored in one.
     pub id: Option<i64>,
-    /// Where it comes from.
+    /// Link, head, station and operator.
     #[serde(flatten)]
     pub origin: Origin,
-    /// When it ended: ISO 8601, UTC, by the host's clock.
+    /// End of the check: ISO 8601, UTC, by the host's clock.
     pub date: String,
     /// The verdict.
     pub verdict: Word,
-    /// Why, in one sentence.
+    /// Reason of the verdict, in one sentence.
     pub reason: String,
     /// One entry per inspected flank.
     pub features: Vec<Feature>,
-    /// One entry per flank that was in view and not asked for.
+    /// One entry per flank that was in view but not requested.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub in_view: Vec<FlankInView>,
-    /// Teeth in view that do not stand.
+    /// Missing teeth in view.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub missing_teeth: Vec<MissingTooth>,
-    /// Which tooth is which, and by whose word; absent of a tool without teeth.
+    /// How the numbering of the teeth was established; absent if the tool has no teeth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tooth_identity: Option<ToothIdentity>,
-    /// Where the time went.
+    /// Durations.
     pub timing_ms: Timing,
-    /// Frame bookkeeping.
+    /// Frame counts and transfer times.
     pub frames: FrameCount,
-    /// Cycles of the press, since the controller's power-up, when the die was looked at.
+    /// Press cycles since the controller's power-up, when the die was captured.
     pub press_cycles: u32,
-    /// Most memory that this process held at once, MB; absent where the system does not say.
+    /// Peak memory of this process, MB; absent if the system does not report it.
     pub peak_memory_mb: Option<f64>,
     /// One entry per view.
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
     pub tool: String,
-    /// What the die is known by.
+    /// Identity of the die.
     pub die: DieKey,
-    /// Temperature of the tool that the scale was corrected for, degrees C; absent when it is not known.
+    /// Temperature of the tool that the scale was corrected for, °C; absent if not known.
     pub temperature_degc: Option<f64>,
-    /// Host, protocol, firmware.
+    /// Versions of host, protocol and firmware.
     pub versions: BTreeMap<&'static str, String>,
-    /// BLAKE3 of what went in: CAD, tool file, head file, core map, baseline, recipe.
+    /// BLAKE3 of the inputs: CAD, tool file, head file, core map, baseline, recipe.
     pub hashes: BTreeMap<&'static str, String>,
-    /// How the check looked at the tool, beside what the files say.
+    /// Measurement settings of the check that are not in the files.
     pub recipe: Recipe,
-    /// What the verdict on each view was computed from.
+    /// Data from which the verdict of each view was computed.
     pub evidence: Vec<Evidence>,
     /// Why the check ended early, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stopped: Option<String>,
-    /// What kind of reason that was.
+    /// Class of that reason.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stopped_code: Option<Code>,
-    /// From the simulated bench alone: what was true.
+    /// True values, from the simulated bench only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<serde_json::Value>,
-    /// The sums of every capture, to be stored.
+    /// The phasor sums of every capture, to be stored.
     #[serde(skip)]
     pub phasors: Vec<Phasors>,
-    /// Deviation from CAD of every measured flank, cell by cell: what a baseline is made of.
+    /// Deviation from CAD of every measured flank, cell by cell: becomes part of a baseline.
     #[serde(skip)]
     pub fields: Vec<Reference>,
-    /// What every view showed beside its tooth: part of a baseline, too.
+    /// Neighbouring flanks in every view: becomes part of a baseline.
     #[serde(skip)]
     pub neighbours: Vec<ViewReference>,
-    /// What every view said of its own pose about the axis: part of a baseline, too.
+    /// Evidence of every view's rotation about the axis: becomes part of a baseline.
     #[serde(skip)]
     pub poses: Vec<PoseEvidence>,
-    /// What only the report draws.
+    /// Data that only the report draws.
     #[serde(skip)]
     pub pictures: Pictures,
 }
 
 impl Inspection {
-    /// What a check of a new tool says of it.
+    /// The baseline that results from the check of a new tool.
     ///
     /// # Errors
-    /// The check did not end in go.
+    /// The verdict is not "go".
     pub fn baseline(&self) -> Result<Baseline, BaselineError> {
         if self.verdict != Word::Go {
             return Err(BaselineError::NotNew {
@@ -369,7 +370,7 @@ impl Inspection {
         format!("{}: {}", self.verdict, self.reason)
     }
 
-    /// Something speaks against the verdict: damage that was found stays found, everything else is indeterminate.
+    /// Downgrades the verdict for a reason: a no-go stays, every other verdict becomes indeterminate.
     pub fn withhold(&mut self, why: &Reason) {
         self.verdict = self.verdict.withheld();
         self.reason = match self.verdict {
@@ -379,7 +380,7 @@ impl Inspection {
     }
 }
 
-/// Raw material of the report's pictures.
+/// Data of the report's pictures.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
     /// Deviation maps, one per inspected flank.
@@ -388,25 +389,25 @@ pub struct Pictures {
     pub deviations_um: Vec<f64>,
     /// Activity of the devices.
     pub activities: Vec<Activity>,
-    /// What their rotary stage turned.
+    /// What the rotary stage turned: die or head.
     pub moves: Moves,
-    /// One raw frame.
+    /// One raw frame, reduced.
     pub frame: Option<Picture>,
-    /// The toothing around the flanks; absent where the tool is none.
+    /// Teeth around the flanks; absent if the tool has no teeth.
     pub toothing: Option<Toothing>,
 }
 
-/// A toothing as reports draw it.
+/// A toothing, as reports draw it.
 #[derive(Clone, Debug)]
 pub struct Toothing {
-    /// Its drawing.
+    /// Its geometry.
     pub gear: GearData,
     /// Lower and upper end of the judged zone's profile, as radii, mm.
     pub zone_radius_mm: [f64; 2],
 }
 
 impl Toothing {
-    /// That of a tool.
+    /// The toothing of a tool, if it has teeth.
     #[must_use]
     pub fn of(tool: &Tool) -> Option<Self> {
         let gear = tool.gear.clone()?;

@@ -1,4 +1,4 @@
-//! What a verdict was computed from: enough to compute it again, and to notice when something is not the same.
+//! The data that a verdict was computed from: enough to compute it again and to detect changes.
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::decode::GridKind;
@@ -9,39 +9,39 @@ use serde::{Deserialize, Serialize};
 use flankscope_foundation::files;
 use flankscope_metrology::view::{PlannedView, StatedPose};
 
-/// How a check looks at a tool, beside what its files say.
+/// Measurement settings of a check that are not in its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
     /// Teeth in the middle of the views.
     pub teeth: Vec<u32>,
-    /// Patterns.
+    /// Name of the pattern set.
     pub pattern_set: String,
-    /// Share of all mirrors' light that each pass of the patterns gives; none: they are shown once, by all mirrors.
+    /// Fraction of the light of all mirrors that each pass of the patterns gives; empty: shown once, by all mirrors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lit_ratios: Vec<f64>,
-    /// Exposures, µs.
+    /// Exposure times, µs.
     pub exposures_us: Vec<u32>,
-    /// What a point is made of.
+    /// How pixels are grouped into points.
     pub grid: GridKind,
-    /// Temperature of the tool, degrees C, where it is known.
+    /// Temperature of the tool, °C, if known.
     pub temperature_degc: Option<f64>,
-    /// Of recorded frames, where they were not taken as tool and head file say.
+    /// For recorded frames that were not taken as tool and head file say: how they were taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recorded: Option<RecordedRecipe>,
 }
 
-/// What an index and its plan say of recorded frames.
+/// How recorded frames were taken, by their index and plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RecordedRecipe {
-    /// Where the stages stood.
+    /// Position of the stages for each view.
     pub views: Vec<PlannedView>,
-    /// Patterns.
+    /// Pattern set.
     pub patterns: PatternSet,
     /// Whether a dark frame preceded each view.
     pub dark_frame: bool,
-    /// The sensor, where it is not the one of the head's file.
+    /// The sensor, if it is not the one in the head file.
     pub sensor: Option<Sensor>,
-    /// Where the camera stood, by view from 0, where somebody else than the stages said so.
+    /// Pose of the camera by view from 0, if it does not come from the stages.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub poses: Vec<(usize, StatedPose)>,
 }
@@ -54,25 +54,25 @@ impl Recipe {
     }
 }
 
-/// Where the verdict on one view comes from.
+/// Data from which the verdict of one view was computed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// Tooth in the middle of the view.
     pub tooth: u32,
-    /// BLAKE3 of the phasors of each capture of the view, in order; none when it was not captured whole.
+    /// BLAKE3 of the phasors of each capture of the view, in order; empty if it was not captured completely.
     pub phasors: Vec<String>,
-    /// Why there are none.
+    /// Why there are no phasors.
     #[serde(flatten)]
     pub problem: Option<Problem>,
 }
 
-/// Why a view was not captured whole, as it is stored: enough for the same verdict to follow from it again.
+/// Why a view was not captured completely, as it is stored: from it the same verdict follows again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Problem {
     /// In one sentence.
     #[serde(rename = "problem")]
     pub sentence: String,
-    /// What kind of reason.
+    /// Class of the reason.
     pub code: Code,
 }
 
@@ -91,7 +91,7 @@ impl From<&Problem> for Reason {
     }
 }
 
-/// The sums of one capture of one view.
+/// The phasor sums of one capture of one view.
 #[derive(Clone, Debug)]
 pub struct Phasors {
     /// BLAKE3 of the bytes.
@@ -101,7 +101,7 @@ pub struct Phasors {
 }
 
 impl Phasors {
-    /// Sums of one capture, as bytes with their digest.
+    /// Serialises the sums of one capture and computes their digest.
     #[must_use]
     pub fn of(sums: &Accumulator) -> Self {
         let bytes = sums.to_bytes();

@@ -1,4 +1,4 @@
-//! Which flank or patch a figure is of.
+//! Identifies the flank or patch that a result belongs to.
 
 use std::fmt;
 
@@ -8,23 +8,23 @@ use serde::Serialize;
 /// A flank of a tooth, or a patch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FeatureId {
-    /// Tooth number, 1 is the first; of a patch, its place among those of the tool file.
+    /// Tooth number from 1; for a patch, its position in the tool file.
     pub tooth: u32,
-    /// Side of the tooth, or the face of a patch.
+    /// Side of the tooth; for a patch, its face.
     pub flank: Flank,
-    /// Name of the patch, where it is one.
+    /// Name, for a patch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub patch: Option<String>,
 }
 
 impl FeatureId {
-    /// Which side of its tooth it is, or the name of its patch.
+    /// Side of its tooth, or the name of its patch.
     #[must_use]
     pub fn side(&self) -> &str {
         self.patch.as_deref().unwrap_or(self.flank.word())
     }
 
-    /// Whether both are the same: a patch goes by its name, since its place in the file changes when others are added.
+    /// Whether both are the same. A patch is compared by name, because its position in the file changes when others are added.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         match (&self.patch, &other.patch) {
@@ -34,7 +34,7 @@ impl FeatureId {
     }
 }
 
-/// What it is called in a sentence.
+/// Name in a sentence.
 impl fmt::Display for FeatureId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.patch {

@@ -1,11 +1,11 @@
-//! A flank that was in view and not asked for.
+//! A flank that was in view but not requested.
 
 use flankscope_metrology::verdict::Word;
 use serde::Serialize;
 
 use super::FeatureId;
 
-/// A flank that was in view and not asked for.
+/// A flank that was in view but not requested.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FlankInView {
     /// Which one.
@@ -13,14 +13,14 @@ pub struct FlankInView {
     pub id: FeatureId,
     /// Tooth in the middle of the view.
     pub view: u32,
-    /// Wear of what was seen of it, µm, positive for loss; absent where the baseline does not know the flank.
+    /// Wear of its visible part, µm, positive for loss; absent if the baseline does not have the flank.
     pub wear_um: Option<f64>,
     /// Expanded uncertainty of the wear (95 %), µm.
     pub u95_um: Option<f64>,
-    /// Part of the zone that was measured, 0..1.
+    /// Fraction of the zone that was measured, 0..1.
     pub coverage_ratio: f64,
-    /// `no-go` where that is shown, `warn` by the estimate, `go` where the flank was seen well enough for it, else `indeterminate`,
-    /// which does not count.
+    /// `no-go` if proven; `warn` by the estimate alone; `go` if enough of the flank was visible; else `indeterminate`, which does
+    /// not affect the check.
     pub verdict: Word,
     /// Why it is not go.
     #[serde(skip_serializing_if = "Option::is_none")]

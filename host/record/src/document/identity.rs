@@ -1,4 +1,4 @@
-//! Which tooth is which, and by whose word: to the CAD all teeth look alike.
+//! How the teeth were numbered: to the CAD all teeth look alike.
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::seen_before::{self, Seen};
@@ -9,30 +9,30 @@ use serde::Serialize;
 
 use crate::baseline::Baseline;
 
-/// Who says which tooth is which.
+/// Source of the numbering of the teeth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum IdentifiedBy {
-    /// The forms of the flanks in view, as the baseline recorded them.
+    /// The shapes of the flanks in view agree with those in the baseline.
     Baseline,
-    /// Whoever put the die down and named the teeth.
+    /// The operator who placed the die and named the teeth.
     Operator,
 }
 
-/// Which tooth is which, and by whose word.
+/// How the teeth were numbered.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ToothIdentity {
-    /// By whose.
+    /// Source of the numbering.
     pub by: IdentifiedBy,
     /// In one sentence.
     pub reason: String,
-    /// `turned_die` where the forms contradict the operator.
+    /// `turned_die` if the shapes contradict the operator.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub code: Option<Code>,
 }
 
 impl ToothIdentity {
-    /// Of a check whose views say this of themselves; none of a tool without teeth.
+    /// Numbering of the teeth in a check with this evidence; `None` if the tool has no teeth.
     pub fn of(tool: &Tool, baseline: Option<&Baseline>, views: &[PoseEvidence]) -> Option<Self> {
         let gear = tool.gear.as_ref()?;
         let by_operator = |why: &str| Self {
@@ -60,7 +60,7 @@ impl ToothIdentity {
         })
     }
 
-    /// Why the teeth are not those that were asked for, where that is so.
+    /// Why the teeth are not the requested ones, if so.
     pub fn contradiction(&self) -> Option<Reason> {
         self.code.map(|code| Reason::instrument(code, &self.reason))
     }
@@ -68,7 +68,7 @@ impl ToothIdentity {
 
 fn told(gear: &GearData, tool: &Tool, baseline: &Baseline, views: &[PoseEvidence]) -> Seen {
     let settings = tool.wear_settings();
-    // Two captures by one head; at another place of the field its calibration does not cancel.
+    // Two captures by one head: at another place of the field, its calibration does not cancel.
     let same_mm = settings.drift_mm * 2f64.sqrt();
     let sigma_mm = [same_mm, same_mm.hypot(settings.calibration_mm)];
     seen_before::compare(gear.teeth, &baseline.poses, views, sigma_mm)

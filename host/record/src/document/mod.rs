@@ -1,12 +1,12 @@
-//! The documents of checks: what is stored, shown and believed later.
+//! The documents of checks, which are stored, displayed and used by later checks.
 //!
 //! | file | holds |
 //! |---|---|
-//! | `check` | the JSON document of a check, and what only a report draws |
+//! | `check` | the JSON document of a check, and the data of its report's pictures |
 //! | `evidence` | recipe, phasors and problems: enough to compute the verdict again |
 //! | `feature_id` | the flank or patch that a figure is of |
-//! | `flank_in_view` | a flank that was in view and not asked for |
-//! | `identity` | which tooth is which, by the operator's word or by the baseline |
+//! | `flank_in_view` | a flank that was in view but not requested |
+//! | `identity` | how the teeth were numbered: by the operator or by the baseline |
 
 mod check;
 mod evidence;

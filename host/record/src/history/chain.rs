@@ -1,8 +1,8 @@
-//! The chain of a history: every row that is written is a link, with a keyed digest over the row and the link before it.
+//! The chain of a history: every row has a link, a keyed digest over the row and the previous link.
 //!
-//! A digest is of what was meant to be stored, made before it is stored; what is then in the file is compared with it in the same
-//! transaction. A row that is changed, added or removed breaks the chain. Rows that are cut off its end with their links are
-//! missed against what the station remembers of the history ([`crate::seal::Anchor`]), wherever a copy of it lies.
+//! The digest is computed of the data to be stored, before storing; the row in the file is then compared with it in the same
+//! transaction. Changing, adding or removing a row breaks the chain. If the last rows are cut off together with their links, the
+//! chain is shorter than the station remembers ([`crate::seal::Anchor`]), for every copy of the history.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use super::error::HistoryError;
 use super::store::{History, real_name};
 use crate::seal::{Alone, Anchor, Seals, TrustEntry};
 
-/// Tables whose rows are links, with the column that names a row, in the order in which [`History::trust`] links them anew.
+/// Tables whose rows have links, with the column that identifies a row, in the order in which [`History::trust`] links them again.
 pub(super) const LINKED: [(&str, &str); 6] = [
     ("identity", "one"),
     ("kind", "one"),
@@ -25,7 +25,7 @@ pub(super) const LINKED: [(&str, &str); 6] = [
     ("audit", "id"),
 ];
 
-/// A row that is to be stored: each column with its value, in the table's order.
+/// A row to be stored: each column with its value, in the table's order.
 pub(super) struct Row {
     pub table: &'static str,
     pub values: Vec<(&'static str, Value)>,
@@ -53,7 +53,7 @@ impl Row {
         );
     }
 
-    /// What names the row in its table.
+    /// The value that identifies the row in its table.
     fn key(&self) -> String {
         let column = key_column(self.table);
         let value = self.values.iter().find(|(name, _)| *name == column);
@@ -65,8 +65,8 @@ impl Row {
     }
 }
 
-/// Adds a row with the flanks that belong to it, and its link, whose digest is of what is to be stored. False where what is
-/// then in the file is anything else: something in it changes what is added.
+/// Adds a row, the flanks that belong to it, and its link, whose digest is of the data to be stored. False if the row then in the
+/// file differs, because a trigger or similar changed it.
 pub(super) fn add(
     connection: &Connection,
     seals: &Seals,
@@ -116,7 +116,7 @@ fn link(
     Ok(digest)
 }
 
-/// Links every row that is there, in a chain that is empty.
+/// Links every existing row; the chain must be empty.
 pub(super) fn link_all(connection: &Connection, seals: &Seals) -> rusqlite::Result<()> {
     for (table, column) in LINKED {
         let mut rows =
@@ -164,8 +164,7 @@ fn digest(
     seals.digest("history", parts)
 }
 
-/// All that a row says, with the flanks of a check: every value with its column's name, type and length. What is null is left
-/// out.
+/// Content of a row, with the flanks of a check: every value with its column's name, type and length. Null values are left out.
 fn content(connection: &Connection, table: &str, key: &str) -> rusqlite::Result<Vec<u8>> {
     let column = key_column(table);
     let mut bytes = Vec::new();
@@ -244,13 +243,13 @@ struct Link {
 }
 
 impl History {
-    /// Looks through all of the chain: every row is what this station wrote, and none was added or removed; what the file
-    /// defines is what this program makes; and its indices hold every row, because what is shown is found by them.
+    /// Verifies the whole chain: every row is as this station wrote it, and none was added or removed. Also that the file defines
+    /// only what this program creates, and that its indices contain every row, because rows are looked up by them.
     ///
     /// # Errors
-    /// [`HistoryError::Broken`] with the first place that is not, or the file cannot be read.
+    /// [`HistoryError::Broken`] with the first mismatch, or the file cannot be read.
     pub fn verify(&self) -> Result<(), HistoryError> {
-        // As it is at one moment, whoever writes to it meanwhile.
+        // One snapshot, even if another process writes meanwhile.
         let _moment = Transaction::new_unchecked(self.connection(), TransactionBehavior::Deferred)
             .map_err(self.because("read it"))?;
         self.verify_definitions()?;
@@ -263,7 +262,7 @@ impl History {
         self.verify_links()
     }
 
-    /// Whether anything in the file could change what is added, or hide it.
+    /// Whether the file defines something that could change or hide added rows.
     pub(super) fn verify_definitions(&self) -> Result<(), HistoryError> {
         let strange = super::schema::strange(self.connection());
         match strange.map_err(self.because("read what it consists of"))? {
@@ -343,7 +342,7 @@ impl History {
         }
     }
 
-    /// Whether it holds all that this station has written to the history, here or at another place.
+    /// Checks that it has all rows that this station has written to the history, in this file or a copy.
     pub(super) fn holds_anchor(&self) -> Result<(), HistoryError> {
         let id = self.id()?;
         if let Some(anchor) = self.seals().anchor_at(self.path())?
@@ -370,15 +369,15 @@ impl History {
         )))
     }
 
-    /// Its own id, made with the file.
+    /// Its id, created with the file.
     pub(super) fn id(&self) -> Result<String, HistoryError> {
         self.connection()
             .query_row("SELECT id FROM identity", [], |row| row.get(0))
             .map_err(self.because("read its id"))
     }
 
-    /// Remembers how far it is. What was written is on the disk already: where nothing can be remembered, only cutting off
-    /// its last rows stays unseen.
+    /// Records in the station's memory how far the history is. The rows are on disk already; if this fails, only the removal of
+    /// its last rows goes undetected.
     pub(super) fn remember(&self, alone: &Alone) {
         if let Err(error) = self.try_remember(alone) {
             tracing::error!(%error, "how far the history is cannot be remembered");
@@ -401,12 +400,12 @@ impl History {
         Ok(self.seals().drop_anchor(alone, anchor)?)
     }
 
-    /// Somebody says that a history is to be believed as it is, be it changed, another station's, or an older copy that is
-    /// restored: every row is linked anew with this station's key, and that, with the name, is its last row. Every other copy
-    /// of it is behind from then on.
+    /// Accepts a history as it is on the word of a named person: changed, from another station, or restored from an older copy.
+    /// Every row is linked again with this station's key, and the last row records this with the name. From then on every other
+    /// copy is behind.
     ///
     /// # Errors
-    /// It is no history, or cannot be written.
+    /// The file is not a history, or cannot be written.
     pub fn trust(path: &Path, seals: &Seals, by: &str) -> Result<(), HistoryError> {
         let path = &real_name(path);
         let note = |digest: &str| {
@@ -424,7 +423,7 @@ impl History {
                 let path = path.to_owned();
                 return Err(crate::seal::SealError::Memory { path, source }.into());
             };
-            // It was moved away or removed: the next check begins it anew.
+            // The history was moved or removed: the next check begins a new one.
             note(&id)?;
             return Ok(seals.forget_anchor(path)?);
         }
@@ -462,7 +461,7 @@ impl History {
     }
 }
 
-/// What an older copy would shed.
+/// No-gos that accepting an older copy would remove.
 fn no_gos_there(anchor: &Anchor) -> String {
     let stands: Vec<String> = anchor.stands.iter().map(ToString::to_string).collect();
     if stands.is_empty() {

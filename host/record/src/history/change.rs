@@ -1,25 +1,25 @@
-//! Where a flank's wear left its line: a chip, a new tool, a rate that changed.
+//! Detects changes in a flank's wear over cycles: a chip, a new tool, another rate.
 //!
-//! Each figure is predicted by the straight line through all earlier ones since the last change. Divided by their standard
-//! deviation, these prediction errors are independent and normal as long as the line holds (recursive residuals: Brown,
-//! Durbin and Evans, J. R. Stat. Soc. B 37, 1975), which is what a cumulative sum asks for (Page, Biometrika 41, 1954).
+//! Each value is predicted by the straight line through all earlier ones since the last change. Divided by their standard
+//! deviation, these prediction errors are independent and normal as long as the line holds (recursive residuals: Brown, Durbin
+//! and Evans, J. R. Stat. Soc. B 37, 1975), as a cumulative sum requires (Page, Biometrika 41, 1954).
 
 use super::series::Point;
 
-/// What a sum does not count of each error, in standard deviations: tuned to shifts of one.
+/// Allowance subtracted from each error, in standard deviations: tuned to shifts of one.
 const SLACK: f64 = 0.5;
-/// A sum beyond this many standard deviations is a change. On a line that holds, the two sums together give one alarm in 465
+/// A sum above this many standard deviations is a change. While the line holds, the two sums together give one false alarm in 465
 /// checks on average (Montgomery, Introduction to Statistical Quality Control).
 const ALARM: f64 = 5.0;
-/// A shift that matters, as a share of the warning limit: what changes a figure by less changes no decision, and the scatter of a
-/// few checks, by which a shift is told, is itself known to a factor of two only.
+/// Smallest relevant shift, as a fraction of the warning limit. A smaller shift changes no decision, and the scatter of a few
+/// checks, by which a shift is detected, is itself known only to a factor of two.
 const LEAST_SHARE_OF_WARN: f64 = 0.05;
-/// Scatter below this is the resolution of the stored figures, not of the instrument, µm.
+/// Smallest scatter, µm: below it is the resolution of the stored values, not of the instrument.
 const LEAST_SCATTER_UM: f64 = 1e-3;
-/// Median of the absolute value of a normal figure, in standard deviations.
+/// Median of the absolute value of a normal variable, in standard deviations.
 const MEDIAN_ABSOLUTE: f64 = 0.674_489_75;
 
-/// A sum of what is too much and one of what is too little.
+/// The cumulative sums of positive and of negative errors.
 #[derive(Clone, Debug, Default)]
 struct Sums {
     up: f64,
@@ -28,7 +28,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// Adds a standardised error; returns how many figures ago the change began, if there is one.
+    /// Adds a standardised error; returns how many values ago a change began, if one is detected.
     fn add(&mut self, error: f64) -> Option<usize> {
         self.errors.push(error);
         self.up = (self.up + error - SLACK).max(0.0);
@@ -36,7 +36,7 @@ impl Sums {
         (self.up.max(self.down) > ALARM).then(|| self.began())
     }
 
-    /// The likeliest beginning of a shift of unknown size, as a number of figures back.
+    /// Most likely beginning of a shift of unknown size, as a number of values back.
     fn began(&self) -> usize {
         let (mut sum, mut best) = (0.0_f64, (0.0, 1));
         for (back, error) in (1..).zip(self.errors.iter().rev()) {
@@ -50,7 +50,7 @@ impl Sums {
     }
 }
 
-/// A least-squares line that grows point by point.
+/// A least-squares line, updated point by point.
 #[derive(Clone, Copy, Debug, Default)]
 struct Line {
     count: f64,
@@ -81,14 +81,14 @@ impl Line {
         self.mean_um + slope * (point.cycles - self.mean_cycles)
     }
 
-    /// How far a point is off, in units of the figures' scatter; none while the line says nothing about there.
+    /// Prediction error of a point, in units of the values' scatter; `None` while the line is undetermined there.
     fn error(&self, point: &Point) -> Option<f64> {
         let away = point.cycles - self.mean_cycles;
         if self.spread > 0.0 {
             let inflation = 1.0 + 1.0 / self.count + away * away / self.spread;
             Some((point.wear_um - self.at(point)) / inflation.sqrt())
         } else if self.count > 0.0 && away == 0.0 {
-            // Checks without a cycle in between: a mean is all there is.
+            // Checks at the same cycle determine a mean only.
             Some((point.wear_um - self.mean_um) / (1.0 + 1.0 / self.count).sqrt())
         } else {
             None
@@ -96,7 +96,7 @@ impl Line {
     }
 }
 
-/// Indices of the points at which the wear left its line for good by at least a twentieth of the warning limit, ascending.
+/// Indices of the points at which the wear left its line permanently by at least a twentieth of the warning limit, ascending.
 #[must_use]
 pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     let Some(scatter_um) = scatter_um(points) else {
@@ -115,7 +115,7 @@ pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
             let from = next + 1 - since;
             let begun = changes.last().copied().unwrap_or(0);
             if shift_um(&points[begun..from], &points[from..=next]) >= least_um {
-                // The line begins anew where the shift did.
+                // The next line begins where the shift did.
                 changes.push(from);
                 line = Line::default();
                 for point in &points[from..next] {
@@ -130,7 +130,7 @@ pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     changes
 }
 
-/// Mean distance of later points from the line through earlier ones, µm; through their mean where they say nothing of a slope.
+/// Mean distance of later points from the line through earlier ones, µm; from their mean if they determine no slope.
 fn shift_um(earlier: &[Point], later: &[Point]) -> f64 {
     let mut line = Line::default();
     for point in earlier {
@@ -140,8 +140,8 @@ fn shift_um(earlier: &[Point], later: &[Point]) -> f64 {
     (off.sum::<f64>() / later.len().max(1) as f64).abs()
 }
 
-/// Standard deviation of a figure about its neighbours' line: the median forgives the few places where the wear jumps.
-/// None for fewer than five points.
+/// Standard deviation of a value about the line through its neighbours; the median is insensitive to the few places where the
+/// wear jumps. `None` for fewer than five points.
 pub fn scatter_um(points: &[Point]) -> Option<f64> {
     if points.len() < 5 {
         return None;
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_shift_counts_from_a_twentieth_of_the_warning_limit_on() {
-        // The median of three second differences puts the scatter at 0.09 µm; the first figure alone is off by more.
+        // The median of three second differences gives a scatter of 0.09 µm; the first value alone is off by more.
         let chance = points(&[4.65, 10.43, 15.48, 20.51, 25.39]);
         assert!(changes(&chance, 30.0).is_empty());
         assert_eq!(changes(&chance, 0.0).len(), 1);

@@ -1,4 +1,4 @@
-//! What can be wrong with a history.
+//! Errors of a history.
 
 use std::path::PathBuf;
 
@@ -9,17 +9,17 @@ use crate::seal::StandingNoGo;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HistoryError {
-    /// The database refuses: no permission, disk full, damaged, locked for too long.
+    /// SQLite returns an error: no permission, disk full, damaged, locked for too long.
     #[error("history {}: cannot {doing}: {source}", path.display())]
     Database {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// Operation that failed.
         doing: &'static str,
         /// Cause.
         source: rusqlite::Error,
     },
-    /// Somebody else's file.
+    /// The file is a database, but not a history of this instrument.
     #[error(
         "{} is a database, but no history of this instrument (application id {got:#x}, right would be {expected:#x}); name another file", path.display()
     )]
@@ -28,22 +28,22 @@ pub enum HistoryError {
         path: PathBuf,
         /// Its application id.
         got: i32,
-        /// A history's.
+        /// Application id of a history.
         expected: i32,
     },
-    /// Written by another release.
+    /// The file was written by a release with another table layout.
     #[error(
         "history {} has layout {got}, this release reads and writes layout {expected}; use the release that wrote it", path.display()
     )]
     Layout {
         /// The file.
         path: PathBuf,
-        /// Its layout.
+        /// Layout version of the file.
         got: i32,
-        /// This release's.
+        /// Layout version of this release.
         expected: i32,
     },
-    /// Simulated checks and real ones never share a history.
+    /// Simulated and real checks are never stored in one history.
     #[error(
         "history {} holds checks of {} since {since}, this is {}: name another file by --history, or the --link that it was begun with",
         path.display(), looked_at(*simulated), looked_at(!simulated)
@@ -53,10 +53,10 @@ pub enum HistoryError {
         path: PathBuf,
         /// Whether the checks in it are of the simulated bench.
         simulated: bool,
-        /// When it was begun.
+        /// Date of its first check.
         since: String,
     },
-    /// A stored document that is no JSON, or lacks what is read of it.
+    /// A stored document is not JSON, or lacks a required entry.
     #[error("the stored document of check {id} cannot be read: {source}")]
     Stored {
         /// Check.
@@ -64,7 +64,7 @@ pub enum HistoryError {
         /// Cause.
         source: serde_json::Error,
     },
-    /// A result that cannot be put into words.
+    /// A result cannot be written as JSON.
     #[error("history {}: the result cannot be written as JSON: {source}", path.display())]
     Document {
         /// The file.
@@ -72,7 +72,7 @@ pub enum HistoryError {
         /// Cause.
         source: serde_json::Error,
     },
-    /// Phasors that cannot be written or read.
+    /// Phasors cannot be written or read.
     #[error("phasors {}: {source}", path.display())]
     Phasors {
         /// The file.
@@ -80,17 +80,17 @@ pub enum HistoryError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Phasors that are not what was stored.
+    /// Phasors differ from those that were stored.
     #[error("phasors {} are damaged: their BLAKE3 is {got}, stored was {expected}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Of the file.
+        /// BLAKE3 of the file.
         got: String,
-        /// Of the check.
+        /// BLAKE3 in the check.
         expected: String,
     },
-    /// Rows that are not what was written, or are not there.
+    /// Rows were changed, added or removed.
     #[error("history {}: {why}. If it is right as it is: flankscope trust {} --name WHO", path.display(), path.display())]
     Broken {
         /// The file.
@@ -98,51 +98,51 @@ pub enum HistoryError {
         /// What is wrong, and where.
         why: String,
     },
-    /// The file is gone, and with it a no-go that nobody acknowledged.
+    /// The file is missing, and its unacknowledged no-go with it.
     #[error("history {} is gone, and with it a no-go that nobody has acknowledged ({stands}). If it was removed on purpose: flankscope trust {} --name WHO", path.display(), path.display())]
     Gone {
         /// The file.
         path: PathBuf,
-        /// Against which die, and when.
+        /// Die and time of the no-go.
         stands: Box<StandingNoGo>,
     },
-    /// A no-go stands against the die in another history of this station.
+    /// Another history of this station has an unacknowledged no-go for the die.
     #[error("history {}: a no-go that nobody has acknowledged stands against this die ({stands}) in {}: acknowledge it in a watch with --history {}, or if that file was removed on purpose: flankscope trust {} --name WHO", path.display(), elsewhere.display(), elsewhere.display(), elsewhere.display())]
     StandsElsewhere {
         /// The file.
         path: PathBuf,
-        /// The other one.
+        /// File of the other history.
         elsewhere: PathBuf,
-        /// Against which die, and when.
+        /// Die and time of the no-go.
         stands: Box<StandingNoGo>,
     },
-    /// A file with more than one name.
+    /// The file has several names (hard links).
     #[error("history {} has {names} names (hard links): SQLite and other watches know a file by its name; leave it one, and copy it with sqlite3 {} \".backup COPY\"", path.display(), path.display())]
     SeveralNames {
-        /// One of them.
+        /// One of the names.
         path: PathBuf,
-        /// How many.
+        /// Number of names.
         names: u64,
     },
-    /// A folder, pipe or device.
+    /// The path is a folder, pipe or device.
     #[error("history {}: not a regular file", path.display())]
     NoFile {
-        /// What it is called.
+        /// Its path.
         path: PathBuf,
     },
-    /// Another watch holds the die.
+    /// Another watch already runs on the die.
     #[error("history {}: {tool} is watched by {who} since {since}; one watch at a time holds a die. Dies of one design are told apart by `serial` in their tool files", path.display())]
     Held {
         /// The file.
         path: PathBuf,
         /// The tool there.
         tool: String,
-        /// Who watches it.
+        /// Process that watches it.
         who: String,
         /// Since when.
         since: String,
     },
-    /// Whether another watch holds the die cannot be told.
+    /// Whether another watch runs on the die cannot be determined.
     #[error("{}: {source}", path.display())]
     Watches {
         /// Folder of the locks.
@@ -153,7 +153,7 @@ pub enum HistoryError {
     /// The station's key or memory cannot be used.
     #[error(transparent)]
     Seal(#[from] crate::seal::SealError),
-    /// A head without a digest where the history knows a signed one of its name.
+    /// The head file has no digest, but the history knows a signed head of this name.
     #[error(
         "head {head}: check {id} of {at} was made with a signed head of this name, and this file carries no digest: it was taken off, or it is another head. If it is right as it is: flankscope trust HEAD.toml --name WHO"
     )]
@@ -162,10 +162,10 @@ pub enum HistoryError {
         head: String,
         /// The check.
         id: i64,
-        /// When.
+        /// Time of the check.
         at: String,
     },
-    /// No such check.
+    /// The check does not exist.
     #[error("history {} has no check {id}; it has {}", path.display(), match last {
         Some(last) => format!("checks up to {last}"),
         None => "none".to_owned(),
@@ -173,9 +173,9 @@ pub enum HistoryError {
     NoSuchCheck {
         /// The file.
         path: PathBuf,
-        /// Asked for.
+        /// Requested number.
         id: i64,
-        /// Last one there.
+        /// Last number in the history.
         last: Option<i64>,
     },
 }

@@ -1,4 +1,4 @@
-//! Every figure of a history as a table for other programs.
+//! Writes all values of a history as a table for other programs.
 
 use std::io::{self, Write};
 
@@ -7,10 +7,10 @@ use flankscope_metrology::verdict::Code;
 
 use super::rows::Check;
 
-/// Writes a line per check and flank, as comma-separated values (RFC 4180) under a line of names.
+/// Writes a line per check and flank, as comma-separated values (RFC 4180) below a header line.
 ///
 /// # Errors
-/// The writer's.
+/// Errors of the writer.
 pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,

@@ -1,4 +1,4 @@
-//! What the history says of one flank or patch.
+//! Forecast for one flank or patch from its history.
 
 use serde::Serialize;
 
@@ -20,25 +20,25 @@ pub struct Forecast {
     pub limit_um: f64,
     /// Numbers of the checks at which the wear left its line: a chip, another tool, another rate.
     pub changes: Vec<i64>,
-    /// The line since the last change; absent while too few figures are there.
+    /// The line since the last change; absent while there are too few values.
     pub trend: Option<Trend>,
-    /// Cycles until the stop limit, from the last figure on.
+    /// Cycles until the stop limit, counted from the last value.
     pub remaining_cycles: Remaining,
-    /// The figures.
+    /// The values.
     pub points: Vec<Point>,
 }
 
-/// Quantiles of the remaining cycles; absent without a trend, or when no end is in sight.
+/// Quantiles of the remaining cycles; absent without a trend, or if the limit is not reached within the horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Remaining {
-    /// With 5 % probability there are fewer.
+    /// 5 % quantile.
     pub q05: Option<f64>,
-    /// As likely fewer as more.
+    /// Median.
     pub q50: Option<f64>,
 }
 
 impl Forecast {
-    /// What follows from a flank's figures.
+    /// Computes the forecast from a flank's values.
     #[must_use]
     pub fn of(series: Series) -> Self {
         let changed = changes(&series.points, series.warn_um);

@@ -1,4 +1,4 @@
-//! One watch at a time holds a die in a store: two would show two presses, or one press, two verdicts.
+//! Only one watch at a time may run on a die in a history: two would show two presses, or give one press two verdicts.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::error::HistoryError;
 use crate::die::DieKey;
 
-/// Who watches what, for others to read. A history is known by its device and inode, whatever name leads to it.
+/// Entry that tells other processes which die is watched by whom. A history is identified by device and inode, whatever its name.
 #[derive(Serialize, Deserialize)]
 struct Holder {
     device: u64,
@@ -22,7 +22,7 @@ struct Holder {
     since: String,
 }
 
-/// A die that is held; let go when it is dropped or the process ends, however it ends.
+/// A lock on a die, released when it is dropped or the process ends in any way.
 #[derive(Debug)]
 pub struct Hold {
     path: PathBuf,
@@ -35,8 +35,7 @@ impl Drop for Hold {
     }
 }
 
-/// Holds a die in the history at `history` for `who`; `folder` is where the station keeps who watches what, if it keeps
-/// anything.
+/// Locks a die in the history at `history` for `who`. `folder` is where the station keeps these locks, if it keeps any.
 pub(super) fn hold(
     folder: Option<PathBuf>,
     history: &Path,
@@ -70,7 +69,7 @@ fn try_hold(
     let meta = std::fs::metadata(history)?;
     let (device, inode) = (meta.dev(), meta.ino());
     std::fs::create_dir_all(folder)?;
-    // As long as this is held, nobody else looks or begins to hold.
+    // While this lock is held, no other process reads or adds entries.
     let all = File::open(folder)?;
     flock(&all, FlockOperation::LockExclusive)?;
     for entry in std::fs::read_dir(folder)?.flatten() {
@@ -78,7 +77,7 @@ fn try_hold(
             continue;
         };
         if flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
-            // Its watch is gone.
+            // The process of this entry has ended.
             std::fs::remove_file(entry.path())?;
             continue;
         }

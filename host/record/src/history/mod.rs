@@ -1,4 +1,4 @@
-//! What was found, for good: checks, baselines and acknowledgements of a press in one file, and what follows from them.
+//! The permanent record of a press: checks, baselines and acknowledgements in one file, and the analyses based on them.
 //!
 //! ```text
 //!  check ──► writer ──► store (SQLite, on the disk before it counts) ──► verdict at the press
@@ -7,23 +7,23 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `store` | the file: made, opened, written in whole transactions |
-//! | `row_differences` | the row of a check against its document |
-//! | `rows` | what is read of it |
-//! | `schema` | its tables, which version of them this is, and what a file has beside them |
+//! | `store` | creates, opens and writes the file in transactions |
+//! | `row_differences` | compares the row of a check with its document |
+//! | `rows` | reads the file |
+//! | `schema` | tables, their version, and detection of foreign definitions |
 //! | `chain` | a keyed digest over every row and the one before it |
 //! | `same_die` | which checks are of one die |
-//! | `hold` | one watch at a time holds a die in a file, by device and inode |
-//! | `writer` | the sink that a verdict waits for: stores checks, and takes back a verdict that cannot be stored |
+//! | `hold` | allows one watch at a time per die, by device and inode of the file |
+//! | `writer` | the sink that a verdict waits for: stores checks, and revokes a verdict that cannot be stored |
 //! | `series` | wear of each flank against cycles, over the tool's present life |
-//! | `change` | where the wear left its line |
-//! | `trend` | a robust line since then |
-//! | `remaining` | how many cycles are left |
-//! | `forecast` | all of that for one flank |
-//! | `export` | CSV |
-//! | `parquet` | the same as Apache Parquet, behind a feature |
-//! | `phasors` | what verdicts were computed from, in files beside the store |
-//! | `retention` | which of these are kept |
+//! | `change` | detects where the wear left its line |
+//! | `trend` | a robust line since the last change |
+//! | `remaining` | number of remaining cycles |
+//! | `forecast` | all of these for one flank |
+//! | `export` | export as CSV |
+//! | `parquet` | export as Apache Parquet, behind a feature |
+//! | `phasors` | data of verdicts, in files beside the store |
+//! | `retention` | which phasor files are kept |
 
 mod chain;
 mod change;

@@ -1,4 +1,4 @@
-//! Every figure of a history as an Apache Parquet file, for the tools that read columns: the columns are those of the CSV.
+//! Writes all values of a history as an Apache Parquet file, for tools that read columns; the columns are those of the CSV.
 
 use ::parquet::data_type::{
     BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type,
@@ -36,13 +36,13 @@ const SCHEMA: &str = "message history {
     OPTIONAL BINARY patch (STRING);
 }";
 
-/// A flank and the check that it is of.
+/// A flank and its check.
 type Row<'a> = (&'a Check, &'a FlankRow);
 
 /// The bytes of a Parquet file with a row per check and flank.
 ///
 /// # Errors
-/// The writer's, which writing to memory never raises.
+/// Errors of the writer; none occur when writing to memory.
 pub fn parquet(checks: &[Check]) -> Result<Vec<u8>, ParquetError> {
     let rows: Vec<Row<'_>> = checks
         .iter()

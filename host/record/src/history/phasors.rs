@@ -1,7 +1,7 @@
-//! Raw phasors beside the history: one compressed file per capture of a view, named by the hash of what is in it.
+//! Raw phasors beside the history: one compressed file per capture of a view, named by the hash of its content.
 //!
-//! A file is a zlib stream (RFC 1950) of the bytes in four parts: every fourth byte from the first, from the second, the
-//! third and the fourth. Exponents of neighbours are alike and mantissas are not; apart from each other they compress.
+//! A file is a zlib stream (RFC 1950) of the bytes in four parts: every fourth byte from the first, second, third and fourth.
+//! Exponents of neighbours are similar and mantissas are not, so separating them improves compression.
 
 use std::ffi::OsString;
 use std::fs::DirBuilder;
@@ -20,7 +20,7 @@ use super::store::History;
 use crate::document::Phasors;
 use flankscope_foundation::files;
 
-/// Compresses; fast, because the press waits.
+/// Compresses at a fast level, because the press waits.
 pub(super) fn pack(bytes: &[u8]) -> io::Result<Vec<u8>> {
     let mut apart = Vec::with_capacity(bytes.len());
     for part in 0..4 {
@@ -31,7 +31,7 @@ pub(super) fn pack(bytes: &[u8]) -> io::Result<Vec<u8>> {
     packed.finish()
 }
 
-/// Undoes [`pack`]; reads no more than `length` bytes, whatever the file says.
+/// Undoes [`pack`]; reads at most `length` bytes, whatever the file says.
 fn unpack(packed: &[u8], length: usize) -> io::Result<Vec<u8>> {
     let mut apart = Vec::with_capacity(length);
     ZlibDecoder::new(packed)
@@ -51,7 +51,7 @@ fn unpack(packed: &[u8], length: usize) -> io::Result<Vec<u8>> {
 }
 
 impl History {
-    /// Where the phasors are kept.
+    /// Folder of the phasors.
     #[must_use]
     pub fn phasors_folder(&self) -> PathBuf {
         let mut name = OsString::from(self.path());
@@ -63,7 +63,7 @@ impl History {
         self.phasors_folder().join(format!("{blake3}.zz"))
     }
 
-    /// Keeps packed phasors; when this returns, they are on the disk.
+    /// Writes packed phasors; on return they are on disk.
     pub(super) fn keep_phasors(&self, blake3: &str, packed: &[u8]) -> Result<(), HistoryError> {
         let path = self.phasors_file(blake3);
         let folder = self.phasors_folder();
@@ -73,7 +73,7 @@ impl History {
                 .mode(0o750)
                 .create(&folder)?;
             files::write_whole_with_mode(&path, packed, 0o640)?;
-            // The name is in the folder once that is on the disk, too.
+            // The name is on disk only after the folder is synchronised, too.
             std::fs::File::open(&folder)?.sync_all()
         };
         keep().map_err(|source| HistoryError::Phasors {
@@ -82,12 +82,12 @@ impl History {
         })
     }
 
-    /// Removes phasors that are not needed any more; without a word where they are gone already.
+    /// Removes phasors that are no longer needed; silent if they are gone already.
     pub(super) fn forget_phasors(&self, blake3: &str) {
         let _ = std::fs::remove_file(self.phasors_file(blake3));
     }
 
-    /// Whether a replay failed because its phasors were given up, as those of a no-go never are.
+    /// Whether a replay failed because its phasors were deleted by retention. Those of a no-go never are.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -96,10 +96,10 @@ impl History {
         Ok(gone && self.check(id)?.verdict != Word::NoGo)
     }
 
-    /// The phasors with this hash, `length` bytes of them.
+    /// The `length` bytes of phasors with this hash.
     ///
     /// # Errors
-    /// The file is missing, unreadable, or not what was stored.
+    /// The file is missing, unreadable, or differs from what was stored.
     pub fn phasors(&self, blake3: &str, length: usize) -> Result<Phasors, HistoryError> {
         let path = self.phasors_file(blake3);
         let read = || unpack(&files::read_regular(&path, files::MOST_DATA_BYTES)?, length);
@@ -129,7 +129,7 @@ mod tests {
             let bytes: Vec<u8> = (0..length).map(|i| (i * i % 251) as u8).collect();
             assert_eq!(unpack(&pack(&bytes).unwrap(), length).unwrap(), bytes);
         }
-        // A stream that says it is longer is not followed.
+        // A stream that claims to be longer is not read further.
         let long = pack(&[0; 100_000]).unwrap();
         assert_eq!(unpack(&long, 100).unwrap().len(), 101);
         assert!(unpack(b"no stream", 100).is_err());

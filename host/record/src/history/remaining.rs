@@ -1,32 +1,32 @@
-//! How many cycles are left until a flank's wear passes a limit.
+//! Number of cycles until a flank's wear exceeds a limit.
 //!
-//! Wear is taken as a line with a random walk about it: rate μ, and σ√n of wandering after n cycles. The first passage of a
-//! distance d then follows the inverse Gaussian distribution (Schrödinger 1915; Folks and Chhikara, J. R. Stat. Soc. B 40,
-//! 1978). Distance and rate are themselves uncertain, so the distribution is averaged over both.
+//! Wear is modelled as a line with a random walk about it: rate μ, and standard deviation σ√n after n cycles. The first passage
+//! of a distance d then has the inverse Gaussian distribution (Schrödinger 1915; Folks and Chhikara, J. R. Stat. Soc. B 40,
+//! 1978). Distance and rate are uncertain themselves, so the distribution is averaged over both.
 
 use super::series::Point;
 use super::trend::Trend;
 
-/// Beyond this many cycles there is no end in sight: 60 years of 30 strokes a minute.
+/// Horizon, cycles: 60 years at 30 strokes a minute. Beyond it no forecast is given.
 const MOST_CYCLES: f64 = 1e9;
-/// Nodes of the average over a normal figure, and how many standard deviations they span on each side.
+/// Nodes of the average over a normal variable, and how many standard deviations they span on each side.
 const NODES: usize = 61;
 const SPAN: f64 = 5.0;
 
-/// What is known of the way to a limit.
+/// Distance, rate and random walk of the wear up to a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passage {
-    /// What is left, µm, and its standard uncertainty.
+    /// Remaining distance, µm, and its standard uncertainty.
     pub distance_um: [f64; 2],
     /// Wear per cycle, µm, and its standard uncertainty.
     pub rate_um: [f64; 2],
-    /// Wandering of the wear about its line, µm per square root of a cycle.
+    /// Random walk of the wear about its line, µm per square root of a cycle.
     pub wander_um: f64,
 }
 
 impl Passage {
-    /// The way of a flank with this trend to a limit. `points` are those of the trend, `u_um` is the standard uncertainty
-    /// of the wear, what all figures share included.
+    /// The passage of a flank with this trend to a limit. `points` are those of the trend; `u_um` is the standard uncertainty of
+    /// the wear, including contributions common to all values.
     #[must_use]
     pub fn new(trend: &Trend, points: &[Point], u_um: f64, limit_um: f64) -> Self {
         Self {
@@ -36,7 +36,7 @@ impl Passage {
         }
     }
 
-    /// Cycles after which the limit is passed with `probability`; none when that is not in sight.
+    /// Cycles after which the limit is exceeded with `probability`; `None` beyond the horizon.
     #[must_use]
     pub fn quantile(&self, probability: f64) -> Option<f64> {
         let at_most = |cycles: f64| self.probability(cycles) <= probability;
@@ -44,9 +44,9 @@ impl Passage {
             return None;
         }
         let (mut low, mut high) = (0.0, MOST_CYCLES);
-        // To a part in a million, or a hundredth of a cycle.
+        // To 1e-6 relative, or a hundredth of a cycle.
         while high - low > (1e-6 * high).max(1e-2) {
-            // Bisects magnitudes while they differ, then the figure itself.
+            // Bisects on a logarithmic scale first, then linearly.
             let middle = if low > 1.0 && high > 4.0 * low {
                 (low * high).sqrt()
             } else {
@@ -69,7 +69,7 @@ impl Passage {
         let spread = u_distance_um
             .hypot(u_rate_um * cycles)
             .hypot(self.wander_um * cycles.sqrt());
-        // Beyond the limit then, in closed form; and beyond it in between but back again, averaged.
+        // Beyond the limit at the end, in closed form; plus beyond it in between but back again, averaged numerically.
         let mut sum = beyond(rate_um * cycles - distance_um, spread);
         for (distance_um, weight) in nodes(self.distance_um) {
             for (rate_um, of_rate) in nodes(self.rate_um) {
@@ -80,7 +80,7 @@ impl Passage {
     }
 }
 
-/// Values of a normal figure with weights that sum to one.
+/// Nodes of a normal variable with weights that sum to one.
 fn nodes([value, u]: [f64; 2]) -> impl Iterator<Item = (f64, f64)> {
     let at = |i: usize| SPAN * (2.0 * i as f64 / (NODES - 1) as f64 - 1.0);
     let density = move |i: usize| (-0.5 * at(i) * at(i)).exp();
@@ -88,7 +88,7 @@ fn nodes([value, u]: [f64; 2]) -> impl Iterator<Item = (f64, f64)> {
     (0..NODES).map(move |i| (value + at(i) * u, density(i) / total))
 }
 
-/// Probability that a normal figure is positive.
+/// Probability that a normal variable is positive.
 fn beyond(value: f64, u: f64) -> f64 {
     if u > 0.0 {
         normal(value / u)
@@ -97,8 +97,8 @@ fn beyond(value: f64, u: f64) -> f64 {
     }
 }
 
-/// Probability that the limit was passed and the wear is below it again: the first passage's distribution without the
-/// part that [`beyond`] counts.
+/// Probability that the limit was exceeded and the wear is below it again: the first-passage distribution without the part that
+/// [`beyond`] counts.
 fn back_again(distance_um: f64, rate_um: f64, wander_um: f64, cycles: f64) -> f64 {
     let wandered = wander_um * cycles.sqrt();
     if distance_um <= 0.0 {
@@ -116,7 +116,7 @@ fn normal(z: f64) -> f64 {
     flankscope_foundation::normal::probability_below(z, 0.0, 1.0)
 }
 
-/// Logarithm of the normal distribution, also where it is too small for a float.
+/// Logarithm of the normal distribution function, also where the function underflows.
 fn ln_normal(z: f64) -> f64 {
     if z > -30.0 {
         return normal(z).ln();
@@ -125,8 +125,8 @@ fn ln_normal(z: f64) -> f64 {
     -0.5 * z * z - (-z * std::f64::consts::TAU.sqrt()).ln() + (-1.0 / (z * z)).ln_1p()
 }
 
-/// How much the wear wanders about its line beyond the scatter of single figures: what the squared difference of two
-/// figures grows by per cycle between them.
+/// Random walk of the wear about its line beyond the scatter of single values: growth of the squared difference of two values per
+/// cycle between them.
 fn wander_um(points: &[Point], rate_um: f64) -> f64 {
     let off = |p: &Point| p.wear_um - rate_um * p.cycles;
     let at_lag = |lag: usize| {

@@ -1,30 +1,30 @@
-//! Which phasors are kept: by how many checks have been stored since, and by how much room they may take.
+//! Which phasors are kept: by the number of checks stored since, and by the space that they take.
 //!
-//! A go gives its phasors up first, a warning and what was indeterminate later, a no-go never. A file goes when no check that
-//! keeps its phasors names it.
+//! Phasors of a "go" are deleted first, those of warnings and indeterminate checks later, those of a no-go never. A file is
+//! deleted once no check that keeps its phasors refers to it.
 
 use std::collections::BTreeMap;
 
 use super::error::HistoryError;
 use super::store::History;
 
-/// Warnings and what was indeterminate keep their phasors over so many times as many later checks as a go: they are what is
-/// asked about afterwards, and fewer.
+/// Warnings and indeterminate checks keep their phasors for this many times as many later checks as a "go": they are examined
+/// afterwards, and are fewer.
 const LONGER: i64 = 10;
-/// Share of the room from which on it is said what will be given up.
+/// Fraction of the space above which the next deletions are announced.
 const NEARLY_FULL: f64 = 0.8;
 
-/// How long phasors are kept.
+/// Limits for keeping phasors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Retention {
-    /// A go gives its phasors up after so many later checks.
+    /// Number of later checks after which the phasors of a "go" are deleted.
     pub checks: u32,
-    /// All phasors together take at most this, bytes; only those of no-gos may take more.
+    /// Largest total size of all phasors, bytes; those of no-gos are kept even above it.
     pub bytes: u64,
 }
 
 impl History {
-    /// Gives up what need not be kept once check `newest` is stored.
+    /// Deletes phasors that need not be kept once check `newest` is stored.
     pub(super) fn give_up(&self, newest: i64, keep: Retention) -> Result<(), HistoryError> {
         let checks = i64::from(keep.checks);
         let old = self.rows(
@@ -66,7 +66,7 @@ impl History {
         Ok(())
     }
 
-    /// What will be given up next, once the room for phasors is nearly full.
+    /// A sentence on what will be deleted next, if the space for phasors is nearly full.
     pub(super) fn room(&self, keep: Retention) -> Result<Option<String>, HistoryError> {
         let bytes: u64 = self.phasor_sizes().values().sum();
         if (bytes as f64) < NEARLY_FULL * keep.bytes as f64 {
@@ -87,7 +87,7 @@ impl History {
         )))
     }
 
-    /// A check keeps its phasors no longer: files that no other check needs are removed. Returns their hashes.
+    /// Drops a check's claim on its phasors and removes files that no other check needs. Returns their hashes.
     fn forget(&self, id: i64) -> Result<Vec<String>, HistoryError> {
         let hashes: Vec<String> = self.rows(
             "SELECT blake3 FROM phasors WHERE inspection = ?1 AND NOT EXISTS \
@@ -104,7 +104,7 @@ impl History {
         Ok(hashes)
     }
 
-    /// Bytes of every file, by hash.
+    /// Size of every phasor file, bytes, by hash.
     fn phasor_sizes(&self) -> BTreeMap<String, u64> {
         let entries = std::fs::read_dir(self.phasors_folder());
         let files = entries.into_iter().flatten().flatten();

@@ -1,4 +1,4 @@
-//! The row of a check against its document: what somebody changed in one of them shows as a difference.
+//! Compares the row of a check with its document: a change to one of them appears as a difference.
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -7,14 +7,14 @@ use super::error::HistoryError;
 use super::rows::Check;
 use super::store::History;
 
-/// A value that is not as it was stored.
+/// A value that differs from the stored one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Where in the document, for example `features.0.wear_um`.
+    /// Path in the document, for example `features.0.wear_um`.
     pub what: String,
-    /// Stored.
+    /// Stored value.
     pub stored: Value,
-    /// Now.
+    /// Present value.
     pub now: Value,
 }
 
@@ -95,7 +95,7 @@ impl History {
     /// Columns of a stored check's row that differ from its document.
     ///
     /// # Errors
-    /// There is no such check, or its document is no JSON.
+    /// The check does not exist, or its document is not JSON.
     pub fn row_differences(&self, id: i64) -> Result<Vec<Difference>, HistoryError> {
         let text = self.document(id)?;
         let document =

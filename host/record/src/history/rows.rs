@@ -1,4 +1,4 @@
-//! What is read of the file: checks, what each found, baselines, who acknowledged what.
+//! Reads the file: checks and their results, baselines, acknowledgements.
 
 use std::str::FromStr;
 
@@ -23,20 +23,20 @@ pub struct Check {
     pub at: String,
     /// Name of the tool.
     pub tool: String,
-    /// Press cycles that the tool has done.
+    /// Press cycles done with the tool.
     pub tool_cycles: i64,
-    /// The controller's own counter, since its power-up.
+    /// The controller's counter of press cycles since its power-up.
     pub press_cycles: i64,
-    /// BLAKE3 of the baseline that wear is the difference to; absent where it is the deviation from CAD.
+    /// BLAKE3 of the baseline that wear is relative to; absent if wear is relative to CAD.
     pub baseline: Option<String>,
     /// Its verdict.
     pub verdict: Word,
-    /// Why.
+    /// Reason of the verdict.
     pub reason: String,
-    /// Where it comes from.
+    /// Link, head, station and operator.
     #[serde(flatten)]
     pub origin: Origin,
-    /// Serial number of the tool, where its file names one.
+    /// Serial number of the tool, if its file names one.
     pub serial: Option<String>,
     /// One entry per inspected flank or patch.
     pub flanks: Vec<FlankRow>,
@@ -58,25 +58,25 @@ pub struct FlankRow {
     pub limit_um: f64,
     /// Its verdict.
     pub verdict: Word,
-    /// What kind of reason, where it is indeterminate.
+    /// Class of the reason, if indeterminate.
     pub code: Option<Code>,
 }
 
-/// Somebody took note of a verdict.
+/// A person's acknowledgement of a verdict.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Acknowledgement {
-    /// When.
+    /// Time.
     pub at: String,
     /// Name of the tool.
     pub tool: String,
-    /// Who.
+    /// Name of the person.
     pub who: String,
-    /// The check that stood at the press.
+    /// The check whose verdict was displayed at the press.
     pub inspection: Option<i64>,
 }
 
 impl History {
-    /// Names of the tools, the one checked last first.
+    /// Names of the tools, the most recently checked first.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -252,7 +252,7 @@ impl History {
         )
     }
 
-    /// The verdicts of a die that nobody has acknowledged, in order.
+    /// The unacknowledged verdicts of a die, in order.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -268,7 +268,7 @@ impl History {
         )
     }
 
-    /// No-gos that nobody has acknowledged, the newest of each die.
+    /// Unacknowledged no-gos, the newest of each die.
     pub(super) fn standing_no_gos(&self) -> Result<Vec<StandingNoGo>, HistoryError> {
         self.rows(
             &format!(
@@ -291,7 +291,7 @@ impl History {
         )
     }
 
-    /// Refuses a head without a digest where a check was made with a signed one of its name.
+    /// Refuses a head without a digest if an earlier check was made with a signed head of this name.
     ///
     /// # Errors
     /// [`HistoryError::Stripped`], or the file cannot be read.
@@ -328,7 +328,7 @@ impl History {
     }
 }
 
-/// Whether somebody has taken note of a check: later, and of the same die.
+/// SQL condition: a check was acknowledged by a later entry for the same die.
 fn acknowledged() -> String {
     let [checks, notes] = ["inspection", "noted"].map(columns);
     let [a, b, c] = &checks;
@@ -339,7 +339,7 @@ fn acknowledged() -> String {
     )
 }
 
-/// A word of a closed list: one that is not in it is an error, never taken for another.
+/// Parses a word of a closed list; an unknown word is an error.
 fn parsed<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<T>
 where
     T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
@@ -350,7 +350,7 @@ where
     })
 }
 
-/// The same where there may be none.
+/// Like [`parsed`], for a column that may be null.
 fn parsed_or_none<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<T>>
 where
     T: FromStr<Err: std::error::Error + Send + Sync + 'static>,

@@ -1,6 +1,6 @@
 //! [`DieKey::is_same`](crate::die::DieKey::is_same) in SQL.
 
-/// Whether two rows or parameters are of the same die, that have `tool`, `geometry` and `serial`.
+/// SQL condition that two rows or sets of parameters, each with `tool`, `geometry` and `serial`, are of the same die.
 pub(super) fn same(
     [tool, geometry, serial]: [&str; 3],
     [other, other_geometry, other_serial]: [&str; 3],
@@ -11,7 +11,7 @@ pub(super) fn same(
     )
 }
 
-/// The columns of a table's row.
+/// The three columns in a table.
 pub(super) fn columns(table: &str) -> [String; 3] {
     ["tool", "geometry", "serial"].map(|column| format!("{table}.{column}"))
 }

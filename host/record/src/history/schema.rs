@@ -1,14 +1,15 @@
-//! The tables of a history and which version of them this is; whatever else a file defines is found by name.
+//! The tables of a history, their version, and detection of definitions that this program did not create.
 
 use rusqlite::Connection;
 
-/// Says in the file's header that it is a history of this instrument: "FLNK".
+/// Application id in the file's header, marks a history of this instrument: "FLNK".
 pub const APPLICATION_ID: i32 = 0x464C_4E4B;
 
-/// Version of the tables. A file with another one is refused, never guessed at.
+/// Version of the tables. A file with another version is refused.
 pub const VERSION: i32 = 1;
 
-/// Rows are added to the tables of [`KEPT`], none is changed or removed. `phasors` says which checks keep which files of phasors, which are
+/// Rows are added to the tables of [`KEPT`]; none is changed or removed. `phasors` lists which checks keep which phasor files.
+/// These are not part of a result, so their rows are removed with the files.
 /// no part of what was found: its rows go with the files.
 const TABLES: &str = "
 CREATE TABLE baseline (
@@ -93,7 +94,7 @@ CREATE INDEX phasors_by_hash ON phasors (blake3);
 INSERT INTO identity (one) VALUES (1);
 ";
 
-/// Tables whose rows no other program may change or remove by mistake.
+/// Tables whose rows triggers protect against accidental change or removal by other programs.
 const KEPT: [&str; 8] = [
     "baseline",
     "inspection",
@@ -105,7 +106,7 @@ const KEPT: [&str; 8] = [
     "chain",
 ];
 
-/// Makes everything that a history consists of, in an empty file.
+/// Creates all definitions of a history in an empty file.
 pub fn make(connection: &Connection) -> rusqlite::Result<()> {
     connection.execute_batch(TABLES)?;
     KEPT.into_iter().try_for_each(|table| {
@@ -124,7 +125,7 @@ struct Object {
     kind: String,
     name: String,
     table: String,
-    /// With single blanks; none of an index that SQLite makes itself.
+    /// With single blanks; `None` for an index that SQLite creates itself.
     definition: Option<String>,
 }
 
@@ -159,7 +160,7 @@ fn objects(connection: &Connection) -> rusqlite::Result<Vec<Object>> {
     .collect()
 }
 
-/// What the file defines and this program does not, and the other way around.
+/// Definitions in the file that this program does not create, and missing ones.
 struct Differences {
     foreign: Vec<Object>,
     missing: Vec<Object>,
@@ -177,7 +178,7 @@ fn differences(connection: &Connection) -> rusqlite::Result<Differences> {
     Ok(Differences { foreign, missing })
 }
 
-/// In words, how what the file defines differs from what this program makes: what else runs when a row is added may change it.
+/// Describes how the file's definitions differ from those that this program creates: a foreign trigger may change an added row.
 pub fn strange(connection: &Connection) -> rusqlite::Result<Option<String>> {
     let Differences { foreign, missing } = differences(connection)?;
     let among = |objects: &[Object], one: &Object| objects.iter().any(|other| other.same_name(one));
@@ -196,7 +197,7 @@ pub fn strange(connection: &Connection) -> rusqlite::Result<Option<String>> {
     Ok((!said.is_empty()).then(|| said.join(", ")))
 }
 
-/// Removes foreign triggers, views and indices, and makes missing ones anew; tables stay what they are.
+/// Removes foreign triggers, views and indices, and creates missing ones again; tables are left unchanged.
 pub fn restore(connection: &Connection) -> rusqlite::Result<()> {
     let Differences { foreign, missing } = differences(connection)?;
     let not_table = |object: &&Object| object.kind != "table" && object.definition.is_some();

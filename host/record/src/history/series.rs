@@ -1,4 +1,4 @@
-//! From stored checks to the wear of each flank against cycles.
+//! Extracts the wear of each flank against cycles from stored checks.
 
 use std::collections::BTreeMap;
 
@@ -12,22 +12,22 @@ use crate::document::FeatureId;
 /// Wear of one flank or patch over the tool's present life.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Which flank or patch; a patch with the number that it had last.
+    /// Which flank or patch; a patch has its latest number.
     pub id: FeatureId,
     /// Latest warn limit, µm.
     pub warn_um: f64,
     /// Latest stop limit, µm.
     pub limit_um: f64,
-    /// Its figures, cycles never descending.
+    /// Its values, in order of cycles.
     pub points: Vec<Point>,
 }
 
-/// One figure.
+/// One value.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Point {
-    /// Check that it is of.
+    /// Number of its check.
     pub check: i64,
-    /// Press cycles that the tool had done.
+    /// Press cycles done with the tool.
     pub cycles: f64,
     /// Wear, µm.
     pub wear_um: f64,
@@ -35,8 +35,8 @@ pub struct Point {
     pub u_um: f64,
 }
 
-/// The checks that can be compared with the last one: of the same life of the tool, which begins anew where its cycles
-/// fall back, with the same serial number, and judged by the same baseline.
+/// The checks that can be compared with the last one: the same life of the tool (a new one begins where its cycles decrease), the
+/// same serial number, and the same baseline.
 pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
     let fallen = checks
         .windows(2)
@@ -48,10 +48,10 @@ pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
         .filter(move |check| Some(like(check)) == last)
 }
 
-/// The measured figures of every flank, by tooth and flank, and of every patch, by name.
+/// The measured values of every flank, by tooth and flank, and of every patch, by name.
 ///
-/// A figure that is only too near to a limit to be decided is as good as any other; leaving it out would bend the trend
-/// where it matters. What was indeterminate for another reason is left out.
+/// A value that is indeterminate only because it is too near to a limit is included; omitting it would bias the trend near the
+/// limit. Values that are indeterminate for other reasons are omitted.
 #[must_use]
 pub fn series(checks: &[Check]) -> Vec<Series> {
     // Flanks in order of teeth, then patches by name.
@@ -63,7 +63,7 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
                 flank: side,
                 patch,
             } = &flank.id;
-            // The place of a patch in its file changes when others are added; its name stays.
+            // The position of a patch in its file changes when others are added, so the name identifies it.
             let place = if patch.is_some() { 0 } else { *tooth };
             let series = flanks
                 .entry((patch.as_deref(), place, *side))

@@ -1,4 +1,4 @@
-//! The file: one SQLite database, written in whole transactions that are on the disk before they count.
+//! The file: one SQLite database, written in transactions that are synchronised to disk before they count.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -18,10 +18,10 @@ use crate::document::Inspection;
 use crate::origin::Origin;
 use crate::seal::Seals;
 
-/// How long a writer waits for another one. Readers never wait and never keep a writer waiting.
+/// How long a writer waits for another one. Readers neither wait nor block a writer.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A history: opened by one writer, read by any number beside it.
+/// A history: one writer and any number of readers at a time.
 #[derive(Debug)]
 pub struct History {
     pub(super) connection: Connection,
@@ -30,11 +30,10 @@ pub struct History {
 }
 
 impl History {
-    /// Opens a history for writing; makes it where there is none.
+    /// Opens a history for writing; creates it if missing.
     ///
     /// # Errors
-    /// The file cannot be opened, is none of this instrument, of another layout, not what this station wrote, or a copy that
-    /// lacks what it wrote.
+    /// The file cannot be opened, is not of this instrument, has another layout, was changed by others, or is a copy that lacks rows.
     pub fn open(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         let path = &real_name(path);
         if !std::fs::metadata(path).is_ok_and(|meta| meta.len() > 0) {
@@ -49,7 +48,7 @@ impl History {
         Self::open_unchecked(path, seals)?.believed()
     }
 
-    /// Nothing is read of a history that is not what this station wrote.
+    /// Verifies the chain before anything is read.
     fn believed(self) -> Result<Self, HistoryError> {
         self.holds_anchor()?;
         self.verify()?;
@@ -66,11 +65,11 @@ impl History {
         )?;
         let sql = |doing| history.because(doing);
         let connection = &history.connection;
-        // Somebody else's database stays as it is.
+        // A database of another program is left unchanged.
         if history.number("schema_version")? != 0 {
             history.check_layout()?;
         }
-        // A reader sees the last whole state while a check is being stored, and a commit counts when it is on the disk.
+        // Readers see the last committed state while a check is being stored; a commit returns once it is on disk.
         connection
             .pragma_update_and_check(None, "journal_mode", "wal", |_| Ok(()))
             .map_err(sql("set its journal"))?;
@@ -84,18 +83,18 @@ impl History {
         Ok(history)
     }
 
-    /// Opens a history that is there, for reading only; a watch may write to it meanwhile.
+    /// Opens an existing history for reading; a watch may write to it meanwhile.
     ///
     /// # Errors
     /// As [`History::open`].
     pub fn read(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         let path = &real_name(path);
         only_name(path)?;
-        // Whoever may only read a file cannot remove its journal, whoever may write does so when the last one leaves it.
+        // A reader without write permission cannot remove the journal; a process with it does so when the last one closes the file.
         let mut history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_WRITE, seals)?;
         let only = history.connection.pragma_update(None, "query_only", "on");
         only.map_err(history.because("open it"))?;
-        // In a folder that only may be read no journal can be shared. Where there is none either, nobody writes.
+        // In a read-only folder no journal can be shared. Without a journal, no process is writing.
         if history.number("schema_version").is_err() && journal_is_empty(path) {
             history = Self::connect_unchanging(path, seals)?;
         }
@@ -112,7 +111,7 @@ impl History {
         let flags = flags | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
         connection.busy_timeout(PATIENCE).map_err(failed)?;
-        // Whatever the file defines, none of it runs while this program reads or writes, and nothing writes past the tables.
+        // No trigger or view of the file is executed while this program reads or writes, and nothing writes to the schema directly.
         for (setting, on) in [
             (DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true),
             (DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false),
@@ -128,12 +127,12 @@ impl History {
         })
     }
 
-    /// A file that cannot change, with neither lock nor journal.
+    /// Opens a file as immutable, without lock or journal.
     fn connect_unchanging(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         use std::fmt::Write;
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_encoded_bytes() {
-            // What means something in a URI, and what is no ASCII, is told by its number.
+            // Characters with a meaning in a URI, and non-ASCII ones, are percent-encoded.
             if byte.is_ascii_alphanumeric() || b"/.-_~".contains(byte) {
                 uri.push(char::from(*byte));
             } else {
@@ -155,7 +154,7 @@ impl History {
         &self.connection
     }
 
-    /// Where it is.
+    /// Path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -178,10 +177,10 @@ impl History {
             .map_err(self.because("read its header"))
     }
 
-    /// Makes the tables of an empty file, all or none of them.
+    /// Creates the tables of an empty file, all or none.
     fn make_tables(&self) -> Result<(), HistoryError> {
         let make = || {
-            // Another process may be making them at the same time: the lock comes before the look.
+            // Another process may be creating them too, so the lock is taken before the check.
             self.connection.execute_batch("BEGIN IMMEDIATE")?;
             let objects: i64 =
                 self.connection
@@ -219,10 +218,10 @@ impl History {
         }
     }
 
-    /// Refuses checks of the simulated bench in a history of a press, and the other way around.
+    /// Refuses simulated checks in a history of a press, and the reverse.
     ///
     /// # Errors
-    /// It holds checks of the other kind, or cannot be read.
+    /// It has checks of the other kind, or cannot be read.
     pub fn takes(&self, simulated: bool) -> Result<(), HistoryError> {
         match self.kind()? {
             Some((holds, since)) if holds != simulated => Err(HistoryError::OtherKind {
@@ -234,7 +233,7 @@ impl History {
         }
     }
 
-    /// Whether its checks are of the simulated bench, and since when; none while it has no check that says so.
+    /// Whether its checks are simulated, and since when; `None` while it has no check.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -247,14 +246,14 @@ impl History {
             .map_err(self.because("read what it is of"))
     }
 
-    /// Stores a check, whole or not at all; when this returns, it is on the disk. Returns its number.
+    /// Stores a check atomically; on return it is on disk. Returns its number.
     ///
-    /// `tool_cycles` says how many cycles the tool has done. Without it they are counted on from the last stored check by
-    /// the controller's counter, which begins at zero with its power-up.
+    /// `tool_cycles` is the number of cycles done with the tool. Without it, cycles are counted on from the last stored check by
+    /// the controller's counter, which starts at zero at its power-up.
     ///
     /// # Errors
-    /// The disk is full, the file is locked for too long, it holds checks of the other kind, or worse. Nothing of the check
-    /// is stored then.
+    /// The disk is full, the file is locked for too long, has checks of the other kind, or another error occurred. Nothing of the
+    /// check is stored then.
     pub fn record(
         &mut self,
         inspection: &Inspection,
@@ -268,7 +267,7 @@ impl History {
                 source,
             })?;
         self.write("store the check", |history| {
-            // The first check decides whether the file is of the simulated bench.
+            // The first check determines whether the file is simulated.
             if history.kind()?.is_none() {
                 let values = vec![
                     ("one", 1.into()),
@@ -277,7 +276,7 @@ impl History {
                 ];
                 history.add_linked("kind", values, &[])?;
             }
-            // Somebody else may have stored the first one meanwhile, of the other kind.
+            // Another process may have stored a first check of the other kind meanwhile.
             history.takes(simulated)?;
             history.insert(inspection, tool_cycles, document)
         })
@@ -312,10 +311,10 @@ impl History {
             (Some(cycles), _) => i64::from(cycles),
             (None, None) => counter,
             (None, Some((cycles, before))) if counter >= before => cycles + (counter - before),
-            // The controller was switched off in between.
+            // The controller was switched off since the last check.
             (None, Some((cycles, _))) => cycles + counter,
         };
-        // Nobody else adds a row meanwhile: the check knows its number before it has one.
+        // The transaction excludes other writers, so the number of the next row is known in advance.
         let id = self.next_id("inspection")?;
         document["id"] = id.into();
         let Origin {
@@ -349,7 +348,7 @@ impl History {
             ("geometry", geometry.clone().into()),
             ("serial", serial.clone().into()),
         ];
-        // Zero has no sign in a file, and what is no number is null.
+        // SQLite stores no negative zero, and NaN becomes null.
         let real = |value: f64| (!value.is_nan()).then_some(value + 0.0);
         let flanks: Vec<Row> = inspection
             .features
@@ -385,14 +384,14 @@ impl History {
         Ok(id)
     }
 
-    /// The host's clock, as SQLite tells it.
+    /// The host's time, as SQLite formats it.
     fn now(&self) -> Result<Value, HistoryError> {
         let now = "SELECT strftime('%Y-%m-%dT%H:%M:%fZ', 'now')";
         let now = self.connection.query_row(now, [], |row| row.get(0));
         now.map_err(self.because("ask for the time"))
     }
 
-    /// Number of the next row: one that no row had before.
+    /// Number of the next row, never used before.
     fn next_id(&self, table: &str) -> Result<i64, HistoryError> {
         let sql = format!(
             "SELECT 1 + max(coalesce((SELECT seq FROM sqlite_sequence WHERE name = '{table}'), 0), \
@@ -402,7 +401,7 @@ impl History {
         next.map_err(self.because("number a row"))
     }
 
-    /// Adds a row with its link, and reads back what is then there.
+    /// Adds a row with its link, and reads back the stored row.
     fn add_linked(
         &self,
         table: &'static str,
@@ -421,8 +420,8 @@ impl History {
         }
     }
 
-    /// Does everything or nothing; when this returns, it is on the disk. Nothing is added to a file that is not what this
-    /// station wrote, and no two copies of a history are written to at a time.
+    /// Runs a transaction; on return it is on disk. Nothing is added to a file that was changed by others, and no two copies of a
+    /// history are written at the same time.
     fn write<T>(
         &self,
         doing: &'static str,
@@ -440,7 +439,7 @@ impl History {
         Ok(done)
     }
 
-    /// Keeps the baseline that following checks are judged by.
+    /// Stores the baseline that the following checks are compared with.
     ///
     /// # Errors
     /// As [`History::record`].
@@ -464,10 +463,10 @@ impl History {
         })
     }
 
-    /// Notes who acknowledged what stood at the press.
+    /// Stores who acknowledged the displayed verdict.
     ///
     /// # Errors
-    /// As [`History::record`]; what is not noted is not acknowledged.
+    /// As [`History::record`]; without a stored entry, nothing is acknowledged.
     pub fn acknowledge(&mut self, die: &DieKey, who: &str) -> Result<(), HistoryError> {
         let doing = "note the acknowledgement";
         self.write(doing, |history| {
@@ -494,7 +493,7 @@ impl History {
         })
     }
 
-    /// Notes that somebody did something.
+    /// Adds an entry to the audit log.
     ///
     /// # Errors
     /// As [`History::record`].
@@ -512,7 +511,7 @@ impl History {
     }
 }
 
-/// Journal and locks go by a file's name: one with several names, each with its own, is two files to its writers.
+/// Journal and locks are named after the file, so a file with several names would be written without mutual exclusion.
 fn only_name(path: &Path) -> Result<(), HistoryError> {
     use std::os::unix::fs::MetadataExt;
     match std::fs::metadata(path) {
@@ -523,30 +522,30 @@ fn only_name(path: &Path) -> Result<(), HistoryError> {
         Ok(meta) if !meta.is_file() => Err(HistoryError::NoFile {
             path: path.to_owned(),
         }),
-        // A link that leads nowhere.
+        // A link whose target does not exist.
         Err(_) if std::fs::symlink_metadata(path).is_ok() => Err(HistoryError::NoFile {
             path: path.to_owned(),
         }),
-        // SQLite says what is wrong with one that is not there.
+        // SQLite reports a missing file.
         _ => Ok(()),
     }
 }
 
-/// Where a link leads, so that what belongs to a history is always beside the file itself.
+/// The target of a link, so that files belonging to a history are always beside the file itself.
 pub(super) fn real_name(path: &Path) -> PathBuf {
     let link = std::fs::symlink_metadata(path).is_ok_and(|meta| meta.is_symlink());
     let real = if link { path.canonicalize().ok() } else { None };
     real.unwrap_or_else(|| path.to_owned())
 }
 
-/// Whether everything is in the file itself.
+/// Whether all data are in the file itself, none in the journal.
 fn journal_is_empty(path: &Path) -> bool {
     let mut journal = path.as_os_str().to_owned();
     journal.push("-wal");
     std::fs::metadata(&journal).map_or(true, |meta| meta.len() == 0)
 }
 
-/// A history and its journal are for its user and group: SQLite gives the journal the rights of the file.
+/// Restricts a history to its user and group; SQLite gives the journal the same permissions.
 fn close_to_others(path: &Path) {
     use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
     let mode = 0o640;
@@ -555,7 +554,7 @@ fn close_to_others(path: &Path) {
         .create_new(true)
         .mode(mode)
         .open(path);
-    // One that others may read, such as a copy. Another user's cannot be closed by this one.
+    // An existing file that others may read, such as a copy. The permissions of another user's file cannot be changed.
     if made.is_err()
         && let Ok(meta) = std::fs::metadata(path)
         && meta.is_file()

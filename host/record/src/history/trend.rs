@@ -1,15 +1,15 @@
-//! A straight line through wear against cycles that a few bad figures do not bend.
+//! Robust straight line through wear against cycles, insensitive to a few outliers.
 //!
-//! The slope is the median of the slopes of all pairs, its interval from the distribution of Kendall's tau (Theil 1950; Sen,
-//! J. Am. Stat. Assoc. 63, 1968). Up to 29 % of the figures may be anything.
+//! The slope is the median of the slopes of all pairs, its interval follows from the distribution of Kendall's tau (Theil 1950;
+//! Sen, J. Am. Stat. Assoc. 63, 1968). Breakdown point: 29 % of the values.
 
 use flankscope_foundation::{normal::COVERAGE_95, order::midpoint_median};
 
 use super::series::Point;
 
-/// Fewer points than this have no trend.
+/// Smallest number of points for a trend.
 pub const LEAST_POINTS: usize = 5;
-/// Only so many of the last points are used: pairs grow with the square.
+/// Only this many of the last points are used, because the number of pairs grows with the square.
 const MOST_POINTS: usize = 1000;
 
 /// A line.
@@ -17,18 +17,18 @@ const MOST_POINTS: usize = 1000;
 pub struct Trend {
     /// Wear per cycle, µm.
     pub rate_um: f64,
-    /// Its interval, 95 %.
+    /// Its 95 % interval.
     pub rate_um_95: [f64; 2],
-    /// Wear on the line at the last figure, µm.
+    /// Wear on the line at the last value, µm.
     pub now_um: f64,
-    /// Cycles at the last figure.
+    /// Cycles at the last value.
     pub now_cycles: f64,
-    /// Points that it rests on.
+    /// Number of points used.
     pub points: usize,
 }
 
 impl Trend {
-    /// The trend of the last points; none of fewer than [`LEAST_POINTS`] or of points without a cycle in between.
+    /// The trend of the last points; `None` for fewer than [`LEAST_POINTS`], or if all are at the same cycle.
     #[must_use]
     pub fn of(points: &[Point]) -> Option<Self> {
         let points = &points[points.len().saturating_sub(MOST_POINTS)..];
@@ -45,7 +45,7 @@ impl Trend {
         slopes.sort_unstable_by(f64::total_cmp);
         let rate_um = midpoint_median(&mut slopes)?;
         let half_width = COVERAGE_95 * kendall_variance(points).sqrt();
-        // Ranks count from one, places from zero; an interval that reaches beyond all slopes ends at the outermost.
+        // Ranks count from one, indices from zero; an interval beyond all slopes ends at the outermost slope.
         let outermost = slopes.len() - 1;
         let pairs = slopes.len() as f64;
         let low = (((pairs - half_width) / 2.0).floor() - 1.0).max(0.0) as usize;
@@ -64,14 +64,14 @@ impl Trend {
         })
     }
 
-    /// Standard uncertainty of the rate.
+    /// Standard uncertainty of the rate, µm per cycle.
     #[must_use]
     pub fn u_rate_um(&self) -> f64 {
         (self.rate_um_95[1] - self.rate_um_95[0]) / (2.0 * COVERAGE_95)
     }
 }
 
-/// Variance of the number of rising minus falling pairs when there is no trend; figures at the same cycle make no pair.
+/// Variance of the number of rising minus falling pairs without a trend; values at the same cycle form no pair.
 fn kendall_variance(points: &[Point]) -> f64 {
     let term = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
     let ties: f64 = points

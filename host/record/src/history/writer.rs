@@ -1,4 +1,4 @@
-//! A check counts once it is stored: what cannot be kept is not said.
+//! Stores checks: a verdict counts only after it is stored.
 
 use flankscope_metrology::verdict::{Code, Latch, Reason};
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ use crate::sink::{ResultSink, SinkError};
 #[derive(Debug)]
 pub struct HistoryWriter {
     history: History,
-    /// Cycles of the tool at the next check, where somebody said so.
+    /// Cycles of the tool at the next check, if stated by the operator.
     tool_cycles: Option<u32>,
     keep: Retention,
     operator: String,
@@ -25,8 +25,8 @@ pub struct HistoryWriter {
 }
 
 impl HistoryWriter {
-    /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
-    /// better than from the last check. `operator` is who runs the instrument.
+    /// Stores checks in `history`. `tool_cycles` are the cycles of the tool at the next check, if known better than from the last
+    /// check. `operator` runs the instrument.
     #[must_use]
     pub fn new(
         history: History,
@@ -43,7 +43,7 @@ impl HistoryWriter {
         }
     }
 
-    /// What will be given up next, once the room for phasors is nearly full.
+    /// A sentence on what will be deleted next, if the space for phasors is nearly full.
     ///
     /// # Errors
     /// The history cannot be read.
@@ -51,11 +51,10 @@ impl HistoryWriter {
         self.history.room(self.keep)
     }
 
-    /// Notes that the instrument begins to work with this tool, at the simulated bench or not, and keeps the baseline
-    /// that it judges by.
+    /// Records that the instrument starts with this tool, on the simulated bench or not, and stores the baseline that it uses.
     ///
     /// # Errors
-    /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
+    /// The history cannot be written, or is simulated while the instrument is not (or the reverse).
     pub fn begin(
         &mut self,
         die: &DieKey,
@@ -73,7 +72,7 @@ impl HistoryWriter {
             .audit(&self.operator, "open", &format!("{version}, {}", die.tool))
     }
 
-    /// Stores a check; its phasors first, so that a stored check always has them.
+    /// Stores a check; its phasors first, so that they exist for every stored check.
     fn store(&mut self, inspection: &mut Inspection) -> Result<i64, HistoryError> {
         let phasors = std::mem::take(&mut inspection.phasors);
         let history = &self.history;
@@ -86,14 +85,14 @@ impl HistoryWriter {
             history.keep_phasors(&phasors.blake3, &packed)?;
         }
         let id = self.history.record(inspection, self.tool_cycles)?;
-        // The check is stored; that old phasors stay as well does no harm.
+        // The check is stored; keeping old phasors longer does no harm.
         if let Err(error) = self.history.give_up(id, self.keep) {
             tracing::warn!(%error, "old phasors are not removed");
         }
         Ok(id)
     }
 
-    /// Notes an acknowledgement, by the operator unless somebody gave a name.
+    /// Stores an acknowledgement, in the operator's name if no other is given.
     pub fn acknowledge(&mut self, die: &DieKey, name: &str) -> Result<(), HistoryError> {
         let who = if name.is_empty() {
             self.operator.clone()
@@ -103,20 +102,20 @@ impl HistoryWriter {
         self.history.acknowledge(die, &who)
     }
 
-    /// What stood at the press when the instrument was last switched off, without its go.
+    /// Verdicts that were still unacknowledged when the instrument was last switched off.
     pub fn latch(&self, die: &DieKey) -> Result<Latch, HistoryError> {
         Ok(Latch::resumed(&self.history.open_verdicts(die)?))
     }
 
-    /// Holds a die for a watch, in a history of which every row is what was written. None where the station keeps nothing that
-    /// another watch could see.
+    /// Locks a die for a watch, after verifying the history's chain. `None` if the station keeps no folder in which another watch
+    /// could see the lock.
     ///
     /// # Errors
-    /// Its chain is broken, another watch holds the die, or a no-go stands against it in another history of this station.
+    /// The chain is broken, another watch runs on the die, or another history of this station has an unacknowledged no-go for it.
     pub fn hold(&self, die: &DieKey) -> Result<Option<Hold>, HistoryError> {
         self.history.verify()?;
         let seals = self.history.seals();
-        // On the bench every history is of a die of its own.
+        // On the simulated bench, every history is of a die of its own.
         if !self.simulated
             && let Some((elsewhere, stands)) = seals.stands_elsewhere(die, &self.history.id()?)?
         {
@@ -132,7 +131,7 @@ impl HistoryWriter {
 }
 
 impl ResultSink<Inspection> for HistoryWriter {
-    /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
+    /// Stores a finished check and numbers it. If that fails, "go" and "warn" are revoked; a no-go stays.
     fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
         match self.store(inspection) {
             Ok(id) => {

@@ -1,4 +1,4 @@
-//! The station's key: 32 random bytes that only its own user can read, made when they are first needed.
+//! The station's key: 32 random bytes, readable by its user only, created at first use.
 
 use std::fs::{DirBuilder, Permissions};
 use std::io::{self, Read, Write};
@@ -10,10 +10,10 @@ use flankscope_foundation::files::read_regular;
 use super::SealError;
 
 const FILE: &str = "station.key";
-/// Characters of a station's id and of a digest in files.
+/// Number of characters of a station's id and of a digest in files.
 const ID_CHARACTERS: usize = 16;
 
-/// A key, and what is made with it.
+/// A key.
 #[derive(Clone)]
 pub(super) struct Key([u8; 32]);
 
@@ -25,7 +25,7 @@ impl std::fmt::Debug for Key {
 }
 
 impl Key {
-    /// The key in a folder, made together with the folder where there is none.
+    /// Reads the key in a folder; creates folder and key if missing.
     pub fn open(folder: &Path) -> Result<Self, SealError> {
         let path = folder.join(FILE);
         let failed = |source| SealError::Key {
@@ -52,19 +52,19 @@ impl Key {
         Ok(Self(key))
     }
 
-    /// A key that ends with this process.
+    /// A temporary key for this process only.
     pub fn passing() -> io::Result<Self> {
         random().map(Self)
     }
 
-    /// Names the key without telling it.
+    /// Public id of the key, which does not reveal it.
     pub fn id(&self) -> String {
         let mut id = self.digest("id", [&b""[..]]);
         id.truncate(ID_CHARACTERS);
         id
     }
 
-    /// Keyed BLAKE3 of some content of a kind, in parts that do not run together.
+    /// Keyed BLAKE3 of a kind and of parts with their lengths, so that parts cannot run together.
     pub fn digest<'a>(&self, kind: &'a str, parts: impl IntoIterator<Item = &'a [u8]>) -> String {
         let mut hasher = blake3::Hasher::new_keyed(&self.0);
         for part in std::iter::once(kind.as_bytes()).chain(parts) {
@@ -81,7 +81,7 @@ fn random() -> io::Result<[u8; 32]> {
     Ok(key)
 }
 
-/// Appears whole, for one user alone; of two that make it at the same time, the first one's stays.
+/// Creates the key file atomically, readable by its user only; if two processes create it at the same time, the first one's is kept.
 fn make(folder: &Path, path: &Path) -> io::Result<()> {
     let mut file = tempfile::Builder::new()
         .permissions(Permissions::from_mode(0o600))
@@ -94,7 +94,7 @@ fn make(folder: &Path, path: &Path) -> io::Result<()> {
     }
 }
 
-/// Nobody else may read or write what tells this station's word from others'.
+/// Checks that no other user may read or write the key, because it distinguishes this station's files from others'.
 fn private(path: &Path) -> Result<(), SealError> {
     let meta = std::fs::symlink_metadata(path).map_err(|source| SealError::Key {
         path: path.to_owned(),
@@ -111,11 +111,10 @@ fn private(path: &Path) -> Result<(), SealError> {
     })
 }
 
-/// Where the station keeps its key and what it remembers: `FLANKSCOPE_STATE`, else `flankscope` in `XDG_STATE_HOME` or
-/// `~/.local/state`.
+/// Folder of the station's key and memory: `FLANKSCOPE_STATE`, else `flankscope` in `XDG_STATE_HOME` or `~/.local/state`.
 ///
 /// # Errors
-/// None of these is set.
+/// None of these variables is set.
 pub(super) fn default_folder() -> Result<PathBuf, SealError> {
     let of = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty());

@@ -1,5 +1,4 @@
-//! What a station remembers beside its key, in the key's folder: what somebody trusts, where it wrote signed heads, and how far
-//! the histories were that it wrote to.
+//! The station's memory, in the folder of its key: trusted files, where signed heads were written, and how far each history was written.
 
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -20,24 +19,24 @@ use crate::die::DieKey;
 const TRUSTED: &str = "trusted.jsonl";
 const SIGNED: &str = "signed.jsonl";
 const HISTORIES: &str = "histories";
-/// Files in [`HISTORIES`]: of a history by its id, and which one is at a place.
+/// File names in [`HISTORIES`]: the anchor of a history by its id, and the history that is at a path.
 const HISTORY: &str = "history";
 const PLACE: &str = "place";
-/// How long the station's other processes are waited for.
+/// Longest wait for other processes of the station.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Somebody's word for a file.
+/// A file that a person declared to be trusted.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TrustEntry {
-    /// Of its content, with this station's key.
+    /// Digest of its content, with this station's key.
     pub digest: String,
-    /// What kind of file.
+    /// Kind of file.
     pub what: String,
-    /// Where it was then.
+    /// Its path at that time.
     pub file: PathBuf,
-    /// Who says so.
+    /// Name of the person.
     pub by: String,
-    /// When.
+    /// Date.
     pub date: String,
 }
 
@@ -47,30 +46,30 @@ struct SignedHead {
     date: String,
 }
 
-/// How far a history is, whatever its file is called: a store of it that is behind is refused wherever it lies.
+/// How far a history has been written, independent of its file name: a copy that is behind is refused wherever it is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Anchor {
-    /// The history's own id.
+    /// Id of the history.
     pub id: String,
-    /// Where this station last wrote to it.
+    /// Path at which this station last wrote to it.
     pub file: PathBuf,
-    /// Last link of its chain, and its digest.
+    /// Number of the last link of its chain.
     pub link: i64,
-    /// See [`Self::link`].
+    /// Digest of that link.
     pub digest: String,
-    /// Whether its checks are of the simulated bench; none while it has no check.
+    /// Whether its checks are simulated; `None` while it has no check.
     pub simulated: Option<bool>,
-    /// No-gos that nobody has acknowledged, the newest of each die.
+    /// Unacknowledged no-gos, the newest of each die.
     pub stands: Vec<StandingNoGo>,
 }
 
-/// A no-go that nobody has acknowledged.
+/// An unacknowledged no-go.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StandingNoGo {
-    /// Against which die.
+    /// The die.
     #[serde(flatten)]
     pub die: DieKey,
-    /// Of which check.
+    /// Number of the check.
     pub check: i64,
     /// When it was stored.
     pub at: String,
@@ -82,20 +81,20 @@ impl std::fmt::Display for StandingNoGo {
     }
 }
 
-/// Which history was last written at a place.
+/// Id of the history that was last written at a path.
 #[derive(Serialize, Deserialize)]
 struct Place {
     file: PathBuf,
     id: String,
 }
 
-/// Held while a history and what the station remembers of it change together.
+/// A lock, held while a history and the station's memory of it are changed together.
 #[derive(Debug)]
 pub struct Alone {
     _lock: Option<std::fs::File>,
 }
 
-/// The same place under one name, whether something is there or not.
+/// The canonical path, whether the file exists or not.
 fn place(path: &Path) -> PathBuf {
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
@@ -116,7 +115,7 @@ fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, SealError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         text => text.map_err(failed)?,
     };
-    // The last line may be cut short by a loss of power: then it was not believed by anybody yet.
+    // The last line may be cut short by a power failure; it was not yet in use then.
     Ok(text
         .lines()
         .filter_map(|line| serde_json::from_str(line).ok())
@@ -143,7 +142,7 @@ impl Seals {
         })
     }
 
-    /// Everything that somebody trusts.
+    /// All trusted files.
     ///
     /// # Errors
     /// It cannot be read.
@@ -177,7 +176,7 @@ impl Seals {
         )
     }
 
-    /// When this station wrote a signed head to this place, if it did.
+    /// When this station wrote a signed head to this path, if it did.
     pub(super) fn signed_here(&self, head: &Path) -> Result<Option<String>, SealError> {
         let Some(folder) = &self.folder else {
             return Ok(None);
@@ -188,7 +187,7 @@ impl Seals {
         Ok(found.map(|signed| signed.date))
     }
 
-    /// What a station remembers of all histories is in one folder.
+    /// Path of an entry in the station's memory of histories, which is one folder.
     fn remembered(&self, of: &str, what: &[u8]) -> Option<PathBuf> {
         let folder = self.folder.as_ref()?.join(HISTORIES);
         Some(folder.join(format!("{of}-{}.json", hash(what))))
@@ -231,10 +230,10 @@ impl Seals {
         })
     }
 
-    /// Nobody else of this station changes a history, any copy of it, or what is remembered of it, as long as the answer lives.
+    /// Locks a history, all its copies and the station's memory of it against other processes of this station, until the result is dropped.
     ///
     /// # Errors
-    /// The lock cannot be made, or somebody held it for as long as [`PATIENCE`].
+    /// The lock cannot be created, or was held by another process for [`PATIENCE`].
     pub fn alone(&self, id: &str) -> Result<Alone, SealError> {
         let Some(path) = self.remembered(HISTORY, id.as_bytes()) else {
             return Ok(Alone { _lock: None });
@@ -263,15 +262,15 @@ impl Seals {
         })
     }
 
-    /// How far a history is, by its id.
+    /// The anchor of a history, by its id.
     ///
     /// # Errors
-    /// It cannot be read, or is not as this station wrote it.
+    /// It cannot be read, or was changed by others.
     pub fn anchor(&self, id: &str) -> Result<Option<Anchor>, SealError> {
         self.recall(self.remembered(HISTORY, id.as_bytes()))
     }
 
-    /// The id of the history that this station last wrote at a place.
+    /// The id of the history that this station last wrote at a path.
     ///
     /// # Errors
     /// As [`Self::anchor`].
@@ -280,7 +279,7 @@ impl Seals {
         Ok(self.recall::<Place>(path)?.map(|there| there.id))
     }
 
-    /// How far the history was that this station last wrote at a place, unless it wrote to it elsewhere since.
+    /// The anchor of the history that this station last wrote at a path, unless it wrote to it elsewhere since.
     ///
     /// # Errors
     /// As [`Self::anchor`].
@@ -292,7 +291,7 @@ impl Seals {
         Ok(anchor.filter(|anchor| anchor.file == place(file)))
     }
 
-    /// A no-go of a real die that stands in another history than `own`, with that history's file: the die takes it along.
+    /// An unacknowledged no-go of the same real die in a history other than `own`, with that history's path.
     ///
     /// # Errors
     /// As [`Self::anchor`].
@@ -324,10 +323,10 @@ impl Seals {
         Ok(None)
     }
 
-    /// A history begins anew at a place.
+    /// Removes the memory of the history at a path, so that a new one can begin there.
     ///
     /// # Errors
-    /// What is remembered cannot be removed.
+    /// The memory cannot be removed.
     pub fn forget_anchor(&self, file: &Path) -> Result<(), SealError> {
         let gone = self.anchor_at(file)?;
         for path in [
@@ -347,7 +346,7 @@ impl Seals {
         Ok(())
     }
 
-    /// Remembers how far a history is.
+    /// Stores the anchor of a history.
     ///
     /// # Errors
     /// It cannot be written.
@@ -360,7 +359,7 @@ impl Seals {
         };
         let before = self.history_at(&file)?;
         if before.as_ref() != Some(&anchor.id) {
-            // Another one that was here has given way, on purpose.
+            // Another history was at this path and was replaced on purpose.
             if before.is_some() {
                 self.forget_anchor(&file)?;
             }

@@ -1,8 +1,8 @@
-//! Whose word a file is: everything that the instrument writes and later believes carries a keyed digest over all of it.
+//! Signatures: every file that the instrument writes and later relies on carries a keyed digest of its whole content.
 //!
-//! The key is the station's own (`key`); a digest says that this station wrote the file and that nobody without the key
-//! changed it since. What another station wrote, or an earlier release, is believed once somebody says so by name
-//! (`memory`). `SECURITY.md` says what this does not protect.
+//! The key belongs to the station (`key`); a valid digest shows that this station wrote the file and that nobody without the key
+//! changed it. Files of another station or an earlier release are accepted once a person declares them trusted by name
+//! (`memory`). `SECURITY.md` says what this does not protect against.
 
 mod key;
 mod memory;
@@ -16,7 +16,7 @@ use serde_json::Value;
 
 pub use memory::{Alone, Anchor, StandingNoGo, TrustEntry};
 
-/// What is sealed.
+/// Kind of a signed file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A baseline.
@@ -25,16 +25,16 @@ pub enum Kind {
     Head,
     /// A head's self-test.
     SelfTest,
-    /// The result of a scan: the reference of later ones.
+    /// Result of a scan, used as the reference of later ones.
     Scan,
     /// The manifest of a scan's session folder.
     Session,
-    /// What a station remembers of a history.
+    /// An entry of the station's memory of a history.
     Memory,
 }
 
 impl Kind {
-    /// In words, for sentences and for the digest.
+    /// The kind in words, for messages and for the digest.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -48,29 +48,29 @@ impl Kind {
     }
 }
 
-/// What is known of where a file comes from.
+/// Status of a file's signature.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// This station wrote it, and nobody changed it.
+    /// Signed by this station and unchanged.
     Signed,
-    /// Somebody says that it is to be believed as it is.
+    /// Declared trusted by a person.
     Trusted {
-        /// Who.
+        /// Name of the person.
         by: String,
     },
-    /// It carries no digest.
+    /// Without a digest.
     Unsigned,
-    /// It carries another station's digest.
+    /// Signed by another station.
     Foreign {
-        /// Its id.
+        /// Id of that station.
         station: String,
     },
-    /// It carries this station's digest, which is not that of its content.
+    /// It carries this station's digest, but the content was changed.
     Changed,
 }
 
 impl Standing {
-    /// For results.
+    /// The status in words, for results.
     #[must_use]
     pub fn words(&self) -> String {
         match self {
@@ -83,11 +83,11 @@ impl Standing {
     }
 }
 
-/// Why a file is not believed, or cannot be signed.
+/// Why a file is not accepted, or cannot be signed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SealError {
-    /// The key cannot be read or made.
+    /// The key cannot be read or created.
     #[error("the station's key {}: {source} (choose another folder with FLANKSCOPE_STATE)", path.display())]
     Key {
         /// Key or folder.
@@ -95,20 +95,20 @@ pub enum SealError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Others may have read or exchanged the key.
+    /// Other users may have read or replaced the key.
     #[error("{} is of user {uid} with mode {mode:o}: the station's key and its folder must be this user's alone (0600 in 0700); if others may have read it, remove it: what it signed must then be trusted anew", path.display())]
     KeyOpen {
         /// Key or folder.
         path: PathBuf,
-        /// Owner.
+        /// User id of the owner.
         uid: u32,
-        /// Mode.
+        /// Permission bits.
         mode: u32,
     },
-    /// There is no folder for it.
+    /// No folder for the key is known.
     #[error("no place for the station's key: set FLANKSCOPE_STATE, XDG_STATE_HOME or HOME")]
     NoPlace,
-    /// What the station remembers cannot be read or written.
+    /// The station's memory cannot be read or written.
     #[error("{}: {source}", path.display())]
     Memory {
         /// The file.
@@ -116,42 +116,42 @@ pub enum SealError {
         /// Cause.
         source: std::io::Error,
     },
-    /// What should be signed is no JSON.
+    /// The document to sign is not JSON.
     #[error("cannot be signed: {0}")]
     Document(#[from] serde_json::Error),
-    /// Not by this station.
+    /// The file is neither signed by this station nor trusted.
     #[error("{}: this {what} is not believed: {why}. If it is right as it is: flankscope trust {} --name WHO", path.display(), path.display())]
     NotBelieved {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// Kind of file.
         what: &'static str,
-        /// Why not.
+        /// Reason.
         why: String,
     },
 }
 
-/// The station's key, and what it remembers.
+/// The station's key and memory.
 #[derive(Clone, Debug)]
 pub struct Seals {
     key: key::Key,
-    /// None: nothing is remembered beyond this process.
+    /// `None`: nothing is stored beyond this process.
     folder: Option<PathBuf>,
 }
 
 impl Seals {
-    /// Where they are kept unless somebody says otherwise.
+    /// Default folder of key and memory.
     ///
     /// # Errors
-    /// No place is known.
+    /// No folder is known.
     pub fn default_folder() -> Result<PathBuf, SealError> {
         key::default_folder()
     }
 
-    /// Those in a folder; the key is made there at first use.
+    /// Key and memory in a folder; the key is created at first use.
     ///
     /// # Errors
-    /// The key cannot be read or made, or others may have read it.
+    /// The key cannot be read or created, or other users may have read it.
     pub fn open(folder: &Path) -> Result<Self, SealError> {
         Ok(Self {
             key: key::Key::open(folder)?,
@@ -159,10 +159,10 @@ impl Seals {
         })
     }
 
-    /// Those of this process alone: what they sign nobody believes later.
+    /// A temporary key for this process; its signatures cannot be verified later.
     ///
     /// # Errors
-    /// The system has no random numbers.
+    /// The system provides no random numbers.
     pub fn passing() -> Result<Self, SealError> {
         let key = key::Key::passing().map_err(|source| SealError::Key {
             path: "/dev/urandom".into(),
@@ -171,28 +171,28 @@ impl Seals {
         Ok(Self { key, folder: None })
     }
 
-    /// Where the station keeps something beside its key; none where nothing is kept.
+    /// Path of a file in the station's folder; `None` if nothing is stored.
     pub(crate) fn place_for(&self, what: &str) -> Option<PathBuf> {
         Some(self.folder.as_ref()?.join(what))
     }
 
-    /// Names the station's key.
+    /// Id of the station's key.
     #[must_use]
     pub fn station(&self) -> String {
         self.key.id()
     }
 
-    /// A digest of something that is no document.
+    /// Digest of data that are not a document.
     pub fn digest<'a>(&self, kind: &'a str, parts: impl IntoIterator<Item = &'a [u8]>) -> String {
         self.key.digest(kind, parts)
     }
 
-    /// The seal of a document, whatever seal is in it.
+    /// The seal of a document, ignoring a seal that it already has.
     ///
     /// # Errors
-    /// It is no JSON.
+    /// It is not JSON.
     pub fn seal(&self, kind: Kind, document: &impl Serialize) -> Result<Seal, SealError> {
-        // By its text: a number is what a reader of the file makes of it.
+        // Through its text, so that numbers are as a reader of the file parses them.
         let document: Value = serde_json::from_str(&serde_json::to_string(document)?)?;
         Ok(Seal {
             station: self.station(),
@@ -200,7 +200,7 @@ impl Seals {
         })
     }
 
-    /// Over everything but the seal itself: keys in alphabetical order, without white space.
+    /// Digest of everything but the seal: keys in alphabetical order, without white space.
     fn of(&self, kind: Kind, document: &Value) -> String {
         let mut document = document.clone();
         if let Some(map) = document.as_object_mut() {
@@ -210,14 +210,14 @@ impl Seals {
             .digest(kind.word(), [document.to_string().as_bytes()])
     }
 
-    /// Where a document comes from.
+    /// Status of a document's signature.
     ///
     /// # Errors
-    /// What was trusted cannot be read.
+    /// The list of trusted files cannot be read.
     pub fn standing(&self, kind: Kind, document: &Value) -> Result<Standing, SealError> {
         let right = self.of(kind, document);
         let seal = document.get(Seal::KEY).cloned();
-        // One that cannot be read is not what the station wrote.
+        // A seal that cannot be parsed was not written by the station.
         let seal = match seal.map(serde_json::from_value::<Seal>).transpose() {
             Ok(seal) => seal,
             Err(_) => {
@@ -277,10 +277,10 @@ impl Seals {
         })
     }
 
-    /// Somebody says that a document is to be believed as it is.
+    /// Declares a document trusted on the word of a named person.
     ///
     /// # Errors
-    /// It cannot be noted.
+    /// The entry cannot be written.
     pub fn trust(
         &self,
         kind: Kind,
@@ -320,10 +320,10 @@ impl Seals {
         Ok(())
     }
 
-    /// Whether a head file may be used, with its self-test where it has a calibration.
+    /// Checks whether a head file may be used, with its self-test if it has a calibration.
     ///
-    /// What `[calibration]` says is believed, so it must be signed or trusted. A head without one makes no claim: it is a
-    /// user's input like the tool file, unless this station wrote a signed head to this place.
+    /// `[calibration]` is relied on, so the file must be signed or trusted. A head file without it is a user's input like the
+    /// tool file, unless this station wrote a signed head to this path.
     ///
     /// # Errors
     /// [`SealError::NotBelieved`] with the remedy.
@@ -362,10 +362,10 @@ impl Seals {
     }
 }
 
-/// A TOML file as the document that is sealed.
+/// A TOML file as the document that is signed.
 ///
 /// # Errors
-/// It is no TOML.
+/// It is not TOML.
 pub fn toml_document(path: &Path, text: &str) -> Result<Value, SealError> {
     let table: toml::Table = toml::from_str(text).map_err(|error| SealError::Memory {
         path: path.to_owned(),

@@ -1,4 +1,4 @@
-//! A document is believed as long as every one of its values is what was signed.
+//! A document is accepted only if each of its values is as signed.
 
 use serde_json::json;
 
@@ -8,7 +8,7 @@ fn seals(folder: &tempfile::TempDir, name: &str) -> Seals {
     Seals::open(&folder.path().join(name)).unwrap()
 }
 
-/// Every place of a document with a value, as the steps to it.
+/// Paths of all values of a document.
 fn leaves(value: &Value, at: &str, found: &mut Vec<String>) {
     match value {
         Value::Object(map) => map
@@ -33,7 +33,7 @@ fn any_value_that_is_changed_or_taken_off_is_seen() {
     document[Seal::KEY] = serde_json::to_value(&seal).unwrap();
     let path = Path::new("baseline.json");
     let believed = |document: &Value| seals.believe(Kind::Baseline, path, document).is_ok();
-    // Written, read and signed again it is the same.
+    // Written, read and signed again, the seal is the same.
     let text = serde_json::to_string_pretty(&document).unwrap();
     assert!(believed(&serde_json::from_str(&text).unwrap()));
     let mut places = Vec::new();
@@ -61,7 +61,7 @@ fn any_value_that_is_changed_or_taken_off_is_seen() {
     let mut more = document.clone();
     more["more"] = json!(1);
     assert!(!believed(&more));
-    // As another kind of file it says nothing.
+    // As another kind of file it is not accepted.
     assert!(seals.believe(Kind::Scan, path, &document).is_err());
 }
 
@@ -84,13 +84,13 @@ fn another_stations_word_counts_once_somebody_says_so_by_name() {
     for document in [&document, &unsigned] {
         assert_eq!(own.standing(Kind::Baseline, document).unwrap(), by_ada);
     }
-    // As it was then, and no other.
+    // Trust covers the content at that time only.
     document["wear_um"] = json!(8.0);
     assert!(own.believe(Kind::Baseline, path, &document).is_err());
     assert_eq!(own.all_trusted().unwrap().len(), 1);
 }
 
-/// A head as a vendor sends it, and one that claims a calibration.
+/// A head file from a vendor, without a calibration, and one with a calibration.
 #[test]
 fn a_head_that_claims_a_calibration_is_signed_and_one_that_claims_nothing_need_not_be() {
     let folder = tempfile::tempdir().unwrap();
@@ -107,7 +107,7 @@ fn a_head_that_claims_a_calibration_is_signed_and_one_that_claims_nothing_need_n
     seals.seal_toml(Kind::Head, &path).unwrap();
     let sealed = std::fs::read_to_string(&path).unwrap();
     assert_eq!(head(&sealed, true).unwrap(), Standing::Signed);
-    // What is no value may change: comments and spaces.
+    // Comments and spaces may change, because they are not values.
     let remarked = format!("# ours\n{}", sealed.replace(" = ", "  = "));
     assert_eq!(head(&remarked, true).unwrap(), Standing::Signed);
     for (from, to) in [
@@ -118,10 +118,10 @@ fn a_head_that_claims_a_calibration_is_signed_and_one_that_claims_nothing_need_n
     ] {
         assert!(head(&sealed.replace(from, to), true).is_err(), "{to}");
     }
-    // With its seal and its claim taken off it is no drawing: this station signed a head here.
+    // Removing both the seal and the calibration does not help: this station signed a head at this path.
     let error = head(drawing, false).unwrap_err().to_string();
     assert!(error.contains("carries no digest"), "{error}");
-    // The self-test beside it is believed as little as the head.
+    // The self-test beside it is checked in the same way.
     std::fs::write(&path, &sealed).unwrap();
     let test = flankscope_profilometry::head::SelfTest::path_of(&path);
     std::fs::write(&test, "due = \"2026-07-30\"\n").unwrap();

@@ -1,4 +1,4 @@
-//! A result as one JSON document.
+//! Writes a result as one JSON document.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use flankscope_foundation::files::write_whole;
 pub struct DocumentFile(PathBuf);
 
 impl DocumentFile {
-    /// To a file, whole or not at all; to standard output for `-`.
+    /// Writes to a file atomically; to standard output for `-`.
     #[must_use]
     pub fn new(path: &Path) -> Self {
         Self(path.to_owned())
@@ -23,7 +23,7 @@ impl DocumentFile {
 /// The text of a document: keys in alphabetical order, so that two results can be compared line by line.
 ///
 /// # Errors
-/// Something of the result is no JSON.
+/// A part of the result cannot be written as JSON.
 pub fn document_text(result: &impl Serialize) -> Result<String, SinkError> {
     let document = serde_json::to_value(result)?;
     Ok(serde_json::to_string_pretty(&document)?)

@@ -1,4 +1,4 @@
-//! Results as JSON lines: one more line per result.
+//! Writes results as JSON lines, one line per result.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -7,12 +7,12 @@ use serde::Serialize;
 
 use super::{ResultSink, SinkError};
 
-/// A file that only grows.
+/// A file that results are appended to.
 #[derive(Clone, Debug)]
 pub struct LinesFile(PathBuf);
 
 impl LinesFile {
-    /// Opens the file, made where there is none.
+    /// Opens the file, creates it if missing.
     ///
     /// # Errors
     /// It cannot be written to.
@@ -21,7 +21,7 @@ impl LinesFile {
         lines.add(b"").map(|()| lines)
     }
 
-    /// Adds some bytes in one piece, so that no other line ends up in them.
+    /// Appends bytes in one write, so that lines of other processes are not mixed in.
     fn add(&self, bytes: &[u8]) -> Result<(), SinkError> {
         let Self(path) = self;
         let add = || -> io::Result<()> {

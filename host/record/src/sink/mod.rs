@@ -1,8 +1,8 @@
-//! Where results go once they are there.
+//! Outputs for results.
 //!
-//! The history is the one sink that a verdict waits for: what cannot be stored is no go (`history::HistoryWriter`). All
-//! others, documents, lines and pages, leave the verdict as it stands. A sink is one file with one `impl`, wherever what it
-//! writes is at home.
+//! The history is the only sink that a verdict waits for: a result that cannot be stored is not a "go"
+//! (`history::HistoryWriter`). All other sinks (documents, lines, pages) do not affect the verdict. A sink is one file with one
+//! `impl`, in the crate that owns its format.
 
 mod document;
 mod lines;
@@ -15,14 +15,14 @@ pub use lines::LinesFile;
 
 /// Takes results of one kind.
 pub trait ResultSink<R> {
-    /// Puts a result where it belongs. A sink that the verdict waits for may take the verdict back; no other changes anything.
+    /// Writes a result. A sink that the verdict waits for may revoke the verdict; no other changes it.
     ///
     /// # Errors
-    /// It is not written. The verdict stands.
+    /// The result is not written. The verdict stands.
     fn put(&mut self, result: &mut R) -> Result<(), SinkError>;
 }
 
-/// Without a sink, a result goes nowhere.
+/// `None` discards results.
 impl<R, S: ResultSink<R>> ResultSink<R> for Option<S> {
     fn put(&mut self, result: &mut R) -> Result<(), SinkError> {
         self.as_mut().map_or(Ok(()), |sink| sink.put(result))
@@ -39,21 +39,21 @@ impl<R, S: ResultSink<R>> ResultSink<R> for &mut S {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SinkError {
-    /// The operating system refuses.
+    /// The operating system returned an error.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         source: std::io::Error,
     },
-    /// Nobody reads on.
+    /// The reader of the output closed it.
     #[error("cannot write to standard output: {0}")]
     Output(std::io::Error),
-    /// The result cannot be put into JSON.
+    /// The result cannot be written as JSON.
     #[error("the result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// The result cannot be put into a page; the cause is the template engine's.
+    /// The result cannot be rendered as a page; the cause is the template engine's.
     #[error("the result cannot be written as a page: {0}")]
     Page(#[source] Box<dyn std::error::Error + Send + Sync>),
 }

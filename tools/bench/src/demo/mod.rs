@@ -1,4 +1,4 @@
-//! What the built-in demo is made of: an 84-tooth die, a calibration target, a white tile.
+//! The built-in demo: an 84-tooth die, a calibration target, a white tile.
 
 mod other;
 mod target;
@@ -11,7 +11,7 @@ use flankscope_gear_cad::{GearKind, GearSpec, Mesh, MeshError, Meshing};
 
 /// Radius of the demo die's pitch circle, mm.
 const PITCH_RADIUS_MM: f64 = 41.45;
-/// Height at which the demo's head looks: the middle of the die, mm.
+/// Height at which the demo's head views the die: its middle, mm.
 pub const HEIGHT_MM: f64 = 33.0;
 /// Chord error of the demo die's flanks, mm.
 pub const CHORD_ERROR_MM: f64 = 0.2e-3;
@@ -33,7 +33,7 @@ pub fn gear() -> GearSpec {
     }
 }
 
-/// The demo die before the demo head, undamaged.
+/// The undamaged demo die in front of the demo head.
 pub fn world_config() -> Result<WorldConfig, MeshError> {
     let gear = gear();
     let cad = gear.mesh(&Meshing {
@@ -43,11 +43,10 @@ pub fn world_config() -> Result<WorldConfig, MeshError> {
     Ok(WorldConfig::new(cad, gear))
 }
 
-/// The tile reaches this far from its middle, mm: well beyond the field.
+/// Half of the tile's side, mm: much larger than the field.
 const TILE_HALF_MM: f64 = 20.0;
 
-/// A plane tile across the view, `radius_mm` from the stage's axis, facing the head; `tilt` is how much x changes
-/// along y and z.
+/// A plane tile across the view, `radius_mm` from the stage's axis, facing the head; `tilt` is the change of x along y and z.
 #[must_use]
 pub fn tile(radius_mm: f64, tilt: [f64; 2]) -> Mesh {
     let corner = |y: f64, z: f64| [radius_mm + tilt[0] * y + tilt[1] * z, y, z];

@@ -1,4 +1,4 @@
-//! A die that is not the tool file's: somebody fetched the wrong one.
+//! A die other than the tool file's, as if the wrong one had been mounted.
 
 use flankscope_gear_cad::{GearSpec, MeshError, Meshing};
 
@@ -12,7 +12,7 @@ pub struct OtherDie {
     module_mm: f64,
 }
 
-/// Why a text is no die.
+/// The text is not a die.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{text} is no die; TEETHxMODULE_MM is, such as 83x0.9869")]
 pub struct OtherDieError {
@@ -35,7 +35,7 @@ impl std::str::FromStr for OtherDie {
 }
 
 impl OtherDie {
-    /// Puts it where the tool file's die was.
+    /// Replaces the tool file's die at the same position.
     ///
     /// # Errors
     /// No such gear can be made.

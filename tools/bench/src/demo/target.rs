@@ -1,5 +1,4 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
-//! does.
+//! The demo's calibration target: six plates with printed dots, blank plates and spheres, on a carrier at the position of the die.
 
 use flankscope_gear_cad::Mesh;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -10,9 +9,9 @@ use crate::files::{KEYS, Plate, TargetFile};
 use crate::world::random::{Normals, Purpose, stream};
 use crate::world::{HeadDesign, Print, Surface, WorldConfig};
 
-/// The plates reach this far from their middle, mm: beyond the field wherever the stages stand.
+/// Half of a plate's side, mm: larger than the field at any position of the stages.
 const HALF_MM: f64 = 7.0;
-/// Angle from station to station of the carrier.
+/// Angle between the carrier's stations.
 const STATION_RAD: f64 = std::f64::consts::FRAC_PI_4;
 /// Printed plates: tilt about their x (along the die axis) and y (along the circumference) in rad, distance beyond best focus in
 /// hundredths of the field.
@@ -24,9 +23,9 @@ const PRINTED: [([f64; 2], f64); 6] = [
     ([0.14, 0.14], -5.0),
     ([-0.14, -0.14], 5.0),
 ];
-/// Bars of two spheres, beyond best focus, beside and above the middle in hundredths of the field, and their diameter. Fronts stand
-/// before best focus, and two are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2). The bars lie in both diagonals of the
-/// field and from its front to its back.
+/// Bars of two spheres: distance beyond best focus, beside and above the middle in hundredths of the field, and diameter. The
+/// fronts are nearer than best focus, and the two spheres of a bar are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2).
+/// The bars lie along both diagonals of the field and from its front to its back.
 const SPHERE_CENTRES: [[[f64; 3]; 2]; 3] = [
     [[7.0, -12.0, -18.0], [13.0, 12.0, 18.0]],
     [[7.0, 12.0, -18.0], [13.0, -12.0, 18.0]],
@@ -40,14 +39,15 @@ const BLANK: [([f64; 2], f64); 3] = [
     ([0.10, 0.10], -4.0),
     ([-0.10, 0.10], 4.0),
 ];
-/// Blank plates of one station stand above each other, and so do bars, mm: the first in the middle, one below, one above.
+/// Vertical positions of the blank plates of one station, and of the bars, mm: one in the middle, one below, one above.
 const ABOVE_MM: [f64; 3] = [0.0, -16.0, 16.0];
-/// They are sunk into a matt ground, which keeps the picture lit: by this share of a diameter beyond the middle of their centres.
+/// The spheres are embedded in a matt ground, which keeps the field lit: its distance beyond the mean of their centres, as a
+/// fraction of the diameter.
 const GROUND_BEYOND_CENTRES: f64 = 5.0 / 24.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
-/// A plate on the carrier's station, facing the axis: x along the axis, y along the circumference, z towards the axis.
+/// Pose of a plate on the carrier's station, facing the axis: x along the axis, y along the circumference, z towards the axis.
 fn plate(station: usize, above_mm: f64, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     let axes = Rotation3::from_basis_unchecked(&[Vector3::z(), Vector3::y(), -Vector3::x()]);
     let facing = UnitQuaternion::from_rotation_matrix(&axes)
@@ -58,7 +58,7 @@ fn plate(station: usize, above_mm: f64, tilt: [f64; 2], radius_mm: f64) -> Isome
     turned * Isometry3::from_parts(place, facing)
 }
 
-/// Where plates and spheres stand on the carrier, by its drawing.
+/// Design positions of plates and spheres on the carrier.
 #[derive(Clone, Debug)]
 pub struct Carrier {
     /// The printed plates.
@@ -71,7 +71,7 @@ pub struct Carrier {
     pub sphere_diameter_mm: f64,
 }
 
-/// The demo's carrier, made for a head; the blank plate stands in best focus.
+/// The demo's carrier for a head; the blank plate is in best focus.
 #[must_use]
 pub fn carrier(head: &HeadDesign) -> Carrier {
     let of_field = |hundredths: f64| head.field_mm * hundredths / 100.0;
@@ -101,7 +101,7 @@ pub fn carrier(head: &HeadDesign) -> Carrier {
     }
 }
 
-/// A sphere's facets, rows of latitude about z: chords of 0.1 um on a radius of 1.5 mm.
+/// A sphere meshed in rows of latitude about z: chord error of 0.1 µm at a radius of 1.5 mm.
 fn sphere(centre: Vector3<f64>, radius_mm: f64, mesh: &mut Mesh) {
     const ROWS: u32 = 136;
     let first = mesh.vertices.len() as u32;
@@ -124,7 +124,7 @@ fn sphere(centre: Vector3<f64>, radius_mm: f64, mesh: &mut Mesh) {
     }
 }
 
-/// The target before the demo head: its plates lie as well as the certificate says, drawn from `seed`.
+/// The target in front of the demo head: its plates deviate as the certificate states, drawn from `seed`.
 #[must_use]
 pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
     let mut random = Normals::new(stream(seed, Purpose::Target));
@@ -170,7 +170,7 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         sphere(centre_mm.into(), 0.5 * diameter_mm, &mut mesh);
     }
     let mut config = WorldConfig::new(mesh, gear());
-    // Lithography on ceramic: matt, and even to a percent.
+    // Lithography on ceramic: matt, and uniform to a percent.
     config.surface = Surface {
         roughness_ratio: 0.01,
         gloss_ratio: 0.0,
@@ -188,17 +188,17 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
     config
 }
 
-/// Draws how far the stages stand from where they were told, while the target is photographed.
+/// Random errors of the stages' positions while the target is captured.
 pub struct StageErrors(Normals<Pcg64>);
 
 impl StageErrors {
-    /// Drawn from `seed`.
+    /// Errors drawn from `seed`.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(Normals::new(stream(seed, Purpose::Stages)))
     }
 
-    /// The next error, evenly from `-half_width` to `half_width`.
+    /// The next error, uniform from `-half_width` to `half_width`.
     pub fn draw(&mut self, half_width: f64) -> f64 {
         half_width * (2.0 * self.0.uniform() - 1.0)
     }

@@ -1,4 +1,4 @@
-//! One stage axis: where it is at a time, how it moves, and what can go wrong with it.
+//! One stage axis: its position over time, its motion, and its faults.
 
 use super::motion::{Dynamics, Profile};
 use super::stage::errors::{
@@ -10,66 +10,66 @@ use super::stage::settings::Settings;
 /// One axis, in its own unit (degrees or millimetres).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisModel {
-    /// What it answers to `ID?`.
+    /// Answer to `ID?`.
     pub name: &'static str,
-    /// Unit number it answers to `SN?`: 7 degrees, 2 millimetres.
+    /// Unit number, the answer to `SN?`: 7 degrees, 2 millimetres.
     pub unit: u8,
     /// Speed and acceleration when switched on.
     pub dynamics: Dynamics,
     /// Travel.
     pub travel: (f64, f64),
-    /// Position of the home switch, where it stands when switched on.
+    /// Position of the home switch, at which it stands when switched on.
     pub home: f64,
-    /// The true position differs from the reported one by up to this much either way, always alike at one position.
+    /// Largest difference of the true position from the reported one; constant at each position.
     pub error: f64,
-    /// Play between motor and table: the table stays behind by half of it, whichever way it came.
+    /// Backlash between motor and table: the table lags by half of it in the direction of motion.
     pub backlash: f64,
-    /// It never comes to a stand once it has been sent this many times (stall).
+    /// Number of the move that never ends (stall).
     pub stalls_at_move: Option<u32>,
 }
 
-/// A hardware limit switch stands this far beyond the travel that the software limits allow, in units of the axis.
+/// Distance of a hardware limit switch beyond the software limit, in units of the axis.
 const SWITCH_BEYOND: f64 = 1.0;
 
-/// What comes to pass at the end of a move.
+/// Event at the end of a move.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Arrival {
-    /// At a hardware limit switch that nobody sent it to.
+    /// Unintended arrival at a hardware limit switch.
     Switch(Refusal),
-    /// At a software limit, after a move without an end.
+    /// Arrival at a software limit after a move without a target.
     SoftwareLimit(Refusal),
-    /// Home is found: the place reads so from now on.
+    /// Home is found: this position has the given reading from now on.
     Home(f64),
 }
 
-/// Where an axis is on its way, and what is wrong with it.
+/// State and faults of an axis.
 #[derive(Debug, Clone)]
 pub(super) struct Axis {
-    /// Its number on the wire.
+    /// Its number in the protocol.
     pub number: usize,
     pub model: AxisModel,
     pub profile: Profile,
     pub settings: Settings,
-    /// Settings that outlive a reset.
+    /// Settings that persist across a reset.
     pub saved: Settings,
     pub motor_on: bool,
     pub moves: u32,
     pub stalled: bool,
-    /// It never comes to a stand.
+    /// Fault: the move never ends.
     pub stalls: bool,
-    /// Added to the next reading of the position, and to no other.
+    /// Fault: added to the next reading of the position only.
     pub reads_beside_mm: f64,
-    /// Added to the next target, and to no other.
+    /// Fault: added to the next target only.
     pub overshoots_mm: f64,
-    /// The next move ends halfway, at a limit switch.
+    /// Fault: the next move ends halfway, at a limit switch.
     pub meets_limit: bool,
-    /// When the move ends and what then.
+    /// Time at which the move ends, and the event then.
     pub arrival: Option<(f64, Arrival)>,
-    /// Which way it was sent last: 1 up, -1 down, 0 not yet.
+    /// Direction of the last move: 1 up, -1 down, 0 none yet.
     pub sent: f64,
-    /// Where the client counts from, moved by `DH`.
+    /// Origin of the client's positions, moved by `DH`.
     pub zero: f64,
-    /// Position that `DH` last gave to the place where it stood.
+    /// Reading that `DH` last assigned to the present position.
     pub defined_home: f64,
 }
 
@@ -96,22 +96,22 @@ impl Axis {
         }
     }
 
-    /// What its position reads as.
+    /// Its reported position.
     pub fn reading(&self, now_s: f64) -> f64 {
         self.profile.position(now_s) - self.zero
     }
 
-    /// What its position will read as once it stands.
+    /// Its reported position after the move.
     pub fn destination(&self) -> f64 {
         self.profile.target() - self.zero
     }
 
-    /// From here on the place where it stands reads as `reading`.
+    /// From now on its present position reads as `reading`.
     pub fn shift(&mut self, now_s: f64, reading: f64) {
         self.zero = self.profile.position(now_s) - reading;
     }
 
-    /// Speed and ramps of the next move, `speed` at most.
+    /// Speed and accelerations of the next move, `speed` at most.
     fn dynamics(&self, speed: f64) -> Dynamics {
         Dynamics {
             speed,
@@ -120,7 +120,7 @@ impl Axis {
         }
     }
 
-    /// Whether a reading is within the software limits, where these are watched.
+    /// Whether a reading is within the software limits, if these are active.
     pub fn within_limits(&self, reading: f64) -> Result<(), Refusal> {
         let refused = |error| Err(of_axis(self.number, error));
         if !self.settings.bit("ZS", 0) {
@@ -134,7 +134,7 @@ impl Axis {
         }
     }
 
-    /// Whether it may be sent anywhere.
+    /// Whether a move is allowed.
     pub fn may_move(&self) -> Result<(), Refusal> {
         let refused = |error| Err(of_axis(self.number, error));
         if self.settings.get("QM") == 0.0 {
@@ -154,12 +154,12 @@ impl Axis {
         (lowest - SWITCH_BEYOND, highest + SWITCH_BEYOND)
     }
 
-    /// Sends it to a place by `VA`.
+    /// Starts a move to a position at the speed set by `VA`.
     pub fn send(&mut self, now_s: f64, target: f64) {
         self.send_at(now_s, target, self.settings.get("VA"));
     }
 
-    /// Sends it to a place at another speed.
+    /// Starts a move to a position at another speed.
     pub fn send_at(&mut self, now_s: f64, target: f64, speed: f64) {
         let here = self.profile.position(now_s);
         let mut target = target + core::mem::take(&mut self.overshoots_mm);
@@ -184,7 +184,7 @@ impl Axis {
         self.moves += 1;
     }
 
-    /// What comes to pass where the move ends.
+    /// Sets the event at the end of the move.
     pub fn arrive_as(&mut self, arrival: Arrival) {
         self.arrival.get_or_insert((self.profile.end_s(), arrival));
     }
@@ -199,7 +199,7 @@ impl Axis {
         self.arrival = None;
     }
 
-    /// Without current it comes to rest at once, by friction.
+    /// Without current it stops immediately, by friction.
     pub fn switch_off(&mut self, now_s: f64) {
         self.motor_on = false;
         if self.profile.speed(now_s) != 0.0 {
@@ -207,7 +207,7 @@ impl Axis {
         }
     }
 
-    /// What `AB`, or a fault, does by a setting in bits: nothing, motor off, or a stop.
+    /// Reaction to `AB` or a fault by a bit setting: none, motor off, or stop.
     pub fn react(&mut self, now_s: f64, setting: &str) {
         if !self.settings.bit(setting, 0) {
             return;
@@ -220,7 +220,7 @@ impl Axis {
         }
     }
 
-    /// What came to pass until now; an error, if it was one.
+    /// Handles the events until now; returns an error, if one occurred.
     pub fn settle(&mut self, now_s: f64) -> Option<Refusal> {
         let (at_s, arrival) = self.arrival.take_if(|(at_s, _)| now_s >= *at_s)?;
         match arrival {

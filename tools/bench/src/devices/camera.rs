@@ -1,4 +1,4 @@
-//! Camera in trigger-width mode: exposed while the trigger is high, read out while the next frame may be exposed.
+//! Camera in trigger-width mode: exposed while the trigger is high; readout overlaps with the next exposure.
 
 use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
@@ -17,8 +17,8 @@ pub struct CameraTiming {
     pub latency_us: u64,
     /// Exposure end to the last row: 1920x1200 at 16 bit and 80 frames per second over USB 3.
     pub readout_us: u64,
-    /// The sensor begins and ends its exposure between two lines: it lasts whole lines. 1200 lines are read out in
-    /// 12.5 ms, which is 10 us each, the order that data sheets of such sensors give.
+    /// Exposures begin and end between two lines of the sensor, so they last whole lines. 1200 lines are read out in 12.5 ms,
+    /// i.e. 10 µs each, which is the order in data sheets of such sensors.
     pub line_us: u64,
 }
 
@@ -32,49 +32,49 @@ impl Default for CameraTiming {
     }
 }
 
-/// One frame as it was exposed: everything that a picture of it depends on.
+/// One exposed frame, with all data that its picture depends on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     /// Frames since the camera was switched on, counted from 0.
     pub counter: u32,
-    /// Start of the exposure, by the clock of whoever triggers.
+    /// Start of the exposure, by the controller's clock.
     pub start_us: u64,
     /// End of the exposure, by the same clock: whole lines after its start.
     pub end_us: u64,
-    /// DMD index on each projector's mirrors, 0 is black; none where no light came out of its LED from start to end.
+    /// DMD pattern index of each projector, 0 is black; `None` if its LED was not on during the whole exposure.
     pub shown: [Option<u16>; 2],
-    /// True angle of the rotary stage, its error included.
+    /// True angle of the rotary stage, including its error.
     pub rotation_rad: f64,
-    /// True position of the vertical stage, its error included.
+    /// True position of the vertical stage, including its error.
     pub vertical_mm: f64,
-    /// When the frame is read out, virtual time.
+    /// End of the readout, virtual time.
     pub readout_done_us: u64,
 }
 
 /// Why a triggered frame does not exist.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lost {
-    /// Its exposure ended while the frame before was still being read out.
+    /// Its exposure ended while the previous frame was still being read out.
     Readout,
 }
 
-/// Takes what the camera exposes. Called on the simulation's thread, so whatever takes long belongs on others.
+/// Receives the camera's exposures. Called on the simulation's thread, so long computations must run on other threads.
 pub trait ExposureSink {
-    /// The simulation is about to start; `remote` can hold its time.
+    /// Called before the simulation starts; `remote` can stop its time.
     fn attach(&mut self, remote: flankscope_sim::Remote) {
         let _ = remote;
     }
-    /// The stages set off and will come to stand at this true pose: time to prepare what will be seen there.
+    /// The stages start to move and will stop at this true pose: allows its view to be prepared.
     fn moving_to(&mut self, pose: super::TruePose) {
         let _ = pose;
     }
-    /// The liquid lens was given this voltage, or none.
+    /// The liquid lens was set to this voltage, or switched off.
     fn focused(&mut self, counts: Option<u16>) {
         let _ = counts;
     }
     /// A frame was exposed; it is not read out yet.
     fn exposed(&mut self, exposure: Exposure);
-    /// The frame with this counter is read out: the camera hands it over now.
+    /// The frame with this counter is read out and must be handed over.
     fn read_out(&mut self, counter: u32) {
         let _ = counter;
     }
@@ -82,7 +82,7 @@ pub trait ExposureSink {
     fn cycled(&mut self, count: u32) {
         let _ = count;
     }
-    /// A frame was triggered in vain; its counter value is skipped.
+    /// A triggered frame was lost; its counter value is skipped.
     fn lost(&mut self, counter: u32, why: Lost) {
         let _ = (counter, why);
     }
@@ -102,11 +102,11 @@ pub(super) async fn run<S: ExposureSink>(
     let latency = Duration::from_micros(timing.latency_us);
     let mut counter = 0;
     let mut reading: VecDeque<(u32, u64)> = VecDeque::new();
-    // By the clock of whoever triggers, which need not be ours: when the last frame is read out.
+    // End of the latest readout, by the controller's clock, which may differ from ours.
     let mut read_out_us = 0;
     ready.set(true);
     loop {
-        // Idle: waiting for a trigger, handing over what is read out meanwhile.
+        // Idle: waits for a trigger; meanwhile hands over frames that are read out.
         until(&mut trigger, true, &mut reading, &sink).await;
         if world.faults.spoils(DeviceFault::CameraDeaf) {
             until(&mut trigger, false, &mut reading, &sink).await;
@@ -132,7 +132,7 @@ pub(super) async fn run<S: ExposureSink>(
             sink.borrow_mut().lost(counter, Lost::Readout);
         } else {
             read_out_us = closed_us + timing.readout_us;
-            // By that clock, all frames before have been read out.
+            // By that clock, all earlier frames have been read out.
             for (counter, _) in reading.drain(..) {
                 sink.borrow_mut().read_out(counter);
             }
@@ -150,7 +150,7 @@ pub(super) async fn run<S: ExposureSink>(
         }
         counter += 1;
         if world.faults.spoils(DeviceFault::CameraExtraTrigger) {
-            // Long enough that the frame before is read out.
+            // Late enough that the previous frame is read out.
             exposing.set(true);
             let readout = Duration::from_micros(timing.readout_us);
             Timer::after(readout).await;
@@ -180,7 +180,7 @@ pub(super) async fn run<S: ExposureSink>(
 }
 
 impl World {
-    /// What each projector shows now.
+    /// Pattern that each projector shows now.
     fn shown(&self) -> [Option<u16>; 2] {
         Projector::ALL.map(|of| {
             let is_lit = self.lit[of as usize].get();
@@ -188,7 +188,7 @@ impl World {
         })
     }
 
-    /// What was shown when an exposure began, where it is lit still.
+    /// Patterns shown at the beginning of an exposure whose light is still on.
     fn still_shown(&self, begun: [Option<u16>; 2]) -> [Option<u16>; 2] {
         let [first, second] = &self.lit;
         let [one, two] = begun;

@@ -13,12 +13,12 @@ use std::rc::Rc;
 pub struct DmdTiming {
     /// One selection on the bus: five bytes at 400 kHz are 0.11 ms.
     pub select_us: u64,
-    /// Trigger to pattern standing. A DLP controller of the DLPC350 class loads a bit plane in about 0.2 ms and needs
-    /// eight for 8 bit: pattern rates of 120 Hz at 8 bit are set by LED time, not by this.
+    /// Time from trigger to the displayed pattern. A DLP controller like the DLPC350 loads a bit plane in about 0.2 ms and needs
+    /// eight for 8 bit; pattern rates of 120 Hz at 8 bit are limited by the LED time, not by this.
     pub switch_us: u64,
-    /// Patterns held; a selection beyond is refused.
+    /// Number of patterns; a higher selection is refused.
     pub patterns: u16,
-    /// From this trigger on (counted from 0) ready never comes again.
+    /// Index of the trigger from which on ready is never signalled, from 0.
     pub dead_from_trigger: Option<u32>,
 }
 
@@ -65,7 +65,7 @@ pub(super) async fn run(lines: ProjectorLines, of: Projector, timing: DmdTiming,
                     ready.set(true);
                 }
                 if world.faults.spoils(DeviceFault::DmdExtraTrigger) {
-                    // The same once more: a sequence of one shows what it shows.
+                    // A sequence of one pattern shows the same pattern again.
                     Timer::after(Duration::from_micros(timing.switch_us)).await;
                     displayed.set(selected);
                     ready.set(true);

@@ -1,4 +1,4 @@
-//! The emulated stage controller by itself, on a pseudo-terminal, for any ESP301 or ESP300 client.
+//! The emulated stage controller alone, on a pseudo-terminal, for any ESP301 or ESP300 client.
 
 use super::stage::{AxisModels, serve};
 use super::{Faults, StageModel};

@@ -1,18 +1,18 @@
-//! Faults that a device can be given while it runs, and the proof that it had them.
+//! Faults that can be injected into a device while it runs, with a record of whether they took effect.
 
 use flankscope_sim::now_us;
 use std::cell::Cell;
 
-/// What a device does wrong from now on.
+/// Fault of a device from now on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum DeviceFault {
     /// The LED draws no current when it is enabled.
     LedOpen,
     /// The LED keeps its current when it is disabled.
     LedStuckOn,
-    /// The LED driver is too hot: it cuts the current a while after it was enabled, and gives none any more.
+    /// The LED driver overheats: it cuts the current some time after enabling, and stays off.
     LedOverheats,
-    /// The DMD never says that a pattern stands.
+    /// The DMD never signals that a pattern is displayed.
     DmdNotReady,
     /// The DMD refuses a selection.
     DmdRefuses,
@@ -24,17 +24,17 @@ pub enum DeviceFault {
     DmdExtraTrigger,
     /// The camera does not become ready again after a frame.
     CameraNotReady,
-    /// The camera does not obey a trigger.
+    /// The camera ignores a trigger.
     CameraDeaf,
-    /// The camera goes on exposing when the trigger falls.
+    /// The camera goes on exposing after the trigger falls.
     CameraStuck,
-    /// The camera exposes once without having been triggered, right after a frame.
+    /// The camera exposes once without a trigger, right after a frame.
     CameraExtraTrigger,
-    /// The rotary stage never comes to a stand.
+    /// The rotary stage never stops moving.
     RotationStalls,
-    /// The vertical stage never comes to a stand.
+    /// The vertical stage never stops moving.
     VerticalStalls,
-    /// The stage controller answers nothing any more.
+    /// The stage controller no longer answers.
     StageSilent,
     /// One answer of the stage controller is garbage.
     StageGarbage,
@@ -42,17 +42,17 @@ pub enum DeviceFault {
     StageLate,
     /// The stage controller reports an error of its own, once.
     StageError,
-    /// The vertical stage reads 1 mm beside its target, once.
+    /// The vertical stage once reports a position 1 mm off its target.
     StageBeside,
-    /// The vertical stage comes to stand 0.5 mm beyond its target, once.
+    /// The vertical stage once stops 0.5 mm beyond its target.
     StageOvershoots,
     /// The vertical stage meets a limit switch halfway, once: its controller stops it and switches its motor off.
     StageLimit,
-    /// The lens driver does not acknowledge any more.
+    /// The lens driver no longer acknowledges.
     LensSilent,
     /// The supply of the lens driver failed for a moment, once.
     LensForgets,
-    /// A lens came off its driver.
+    /// A lens is disconnected from its driver.
     LensOpen,
     /// A lens is shorted.
     LensShort,
@@ -63,7 +63,7 @@ pub enum DeviceFault {
 }
 
 impl DeviceFault {
-    /// It happens once and is over.
+    /// Whether it occurs only once.
     #[must_use]
     pub fn once(self) -> bool {
         matches!(
@@ -82,7 +82,7 @@ impl DeviceFault {
     }
 }
 
-/// The fault given, if any, and when it first showed.
+/// The injected fault, if any, and the time at which it took effect.
 #[derive(Debug, Default)]
 pub struct Faults {
     given: Cell<Option<DeviceFault>>,
@@ -90,18 +90,18 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// From here on.
+    /// Injects a fault from now on.
     pub fn give(&self, fault: DeviceFault) {
         self.given.set(Some(fault));
     }
 
-    /// When it first showed, virtual time.
+    /// Time at which it took effect, virtual time.
     #[must_use]
     pub fn fired_us(&self) -> Option<u64> {
         self.fired_us.get()
     }
 
-    /// A device is about to do what this fault spoils: true if it must.
+    /// Called when a device is about to do what this fault affects; true if the fault must occur.
     pub(super) fn spoils(&self, fault: DeviceFault) -> bool {
         let spoils = self.given.get() == Some(fault);
         if spoils {

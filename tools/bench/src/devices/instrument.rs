@@ -1,4 +1,4 @@
-//! The whole instrument on a thread of its own: controller, devices, and a pseudo-terminal for the host.
+//! The whole instrument on its own thread: controller, devices, and a pseudo-terminal for the host.
 
 use super::{DeviceConfig, ExposureSink, spawn_all};
 use crate::qemu::{self, Figures, Machine};
@@ -12,22 +12,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
-/// What to run.
+/// Configuration of a simulated instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InstrumentConfig {
     /// How virtual time passes.
     pub clock: Clock,
-    /// The controller's settings; the host's silence is counted in virtual time, so raise it with the speed.
+    /// The controller's settings; its timeout for a silent host is in virtual time, so raise it with the speed.
     pub controller: sequence::Config,
     /// How the devices behave.
     pub devices: DeviceConfig,
 }
 
 impl InstrumentConfig {
-    /// For a host in another process: this many virtual seconds per real second.
+    /// Settings for a host in another process, at `speed` virtual seconds per real second.
     ///
-    /// The host's silence counts in virtual time but the host lives in real time, on a machine that is also busy
-    /// rendering: it gets a full real second.
+    /// The timeout for a silent host is in virtual time, but the host runs in real time, on a machine that is also busy
+    /// rendering, so it gets a full real second.
     #[must_use]
     pub fn paced(speed: f64) -> Self {
         let silence_us = (1e6 * speed.max(1.0)).min(f64::from(u32::MAX));
@@ -42,7 +42,7 @@ impl InstrumentConfig {
         }
     }
 
-    /// For a host in another process, as fast as possible: without an end to the host's silence.
+    /// Settings for a host in another process, as fast as possible: without a timeout for a silent host.
     #[must_use]
     pub fn unpaced() -> Self {
         Self {
@@ -53,7 +53,7 @@ impl InstrumentConfig {
 }
 
 impl Default for InstrumentConfig {
-    /// Real time, and the controller as delivered.
+    /// Real time, with the controller's default settings.
     fn default() -> Self {
         Self {
             clock: Clock::Paced { speed: 1.0 },
@@ -63,22 +63,22 @@ impl Default for InstrumentConfig {
     }
 }
 
-/// Who drives the pins.
+/// Implementation of the controller.
 pub enum Controller {
     /// The controller crate in this process, in virtual time.
     InProcess,
-    /// The controller crate as a processor's image, in the emulator's time; it has its own settings built in.
+    /// The controller's firmware image, in the emulator's time, with its built-in settings.
     Emulated(Machine),
 }
 
-/// What a finished run leaves behind.
+/// Record of a finished run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outcome {
-    /// Virtual time reached, and how far real time was ahead of it.
+    /// Virtual time reached, and its lag behind real time.
     pub pace: Pace,
     /// Every pin edge, in order.
     pub edges: Vec<Edge>,
-    /// How punctual the controller was, if it was emulated.
+    /// Timing accuracy of the controller, if it was emulated.
     pub figures: Option<Figures>,
 }
 
@@ -97,7 +97,7 @@ impl Instrument {
         &self.port
     }
 
-    /// Holds virtual time, for instance while a frame is being rendered.
+    /// Stops and resumes virtual time, for instance while a frame is rendered.
     #[must_use]
     pub fn remote(&self) -> &Remote {
         &self.remote

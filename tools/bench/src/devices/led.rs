@@ -11,15 +11,15 @@ use std::rc::Rc;
 /// Times of the LED driver, those of a current regulator for a high-power LED (assumed, order of its soft start).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LedTiming {
-    /// Enable to full current.
+    /// Time from enabling to full current.
     pub rise_us: u64,
-    /// Disable to no current.
+    /// Time from disabling to no current.
     pub fall_us: u64,
     /// The LED never draws current.
     pub open: bool,
 }
 
-/// A driver that is too hot cuts the current after this time.
+/// Time after which an overheated driver cuts the current.
 const OVERHEATS_US: u64 = 20_000;
 
 impl Default for LedTiming {
@@ -39,7 +39,7 @@ pub(super) async fn run(lines: ProjectorLines, of: Projector, timing: LedTiming,
     loop {
         let Ok(()) = enable.wait_for_high().await;
         let mut abandoned = enable.clone();
-        // Enable may fall again while the current still rises.
+        // The driver may be disabled while the current still rises.
         select(
             Timer::after(Duration::from_micros(timing.rise_us)),
             abandoned.wait_for_low(),

@@ -1,9 +1,9 @@
-//! Liquid lens driver: a MAX14574's registers, as published drivers of it write and read them. Not written from the controller's.
+//! Liquid lens driver: the registers of a MAX14574, by the usage in published drivers, independent of the controller's driver.
 
 use super::DeviceFault;
 use flankscope_sim::i2c::I2cDevice;
 
-/// Where it is on its bus.
+/// I2C address.
 pub const ADDRESS: u8 = 0x77;
 
 const STATUS: usize = 0x00;
@@ -15,25 +15,25 @@ const COMMAND: usize = 0x09;
 /// The last register.
 const DRIVERCONF: usize = 0x0A;
 
-/// Reads of the command until the test of the connections is over.
+/// Number of reads of the command register until the connection test is finished.
 const TEST_READS: u32 = 2;
-/// Outputs 3 and 4 have no lens: this the test always finds.
+/// Outputs 3 and 4 have no lens, as the test always reports.
 const BARE: u8 = 0b1100;
 
 /// The chip with two lenses on its first two outputs.
 pub struct Chip<T, P> {
     registers: [u8; DRIVERCONF + 1],
     at: usize,
-    /// Reads that a test still takes.
+    /// Number of reads until the test is finished.
     testing: u32,
-    /// What is wrong with it.
+    /// Present fault.
     trouble: T,
-    /// Told what the lenses are driven with; nothing: they are off.
+    /// Called with the voltages of the lenses; `None` if they are off.
     put_out: P,
 }
 
 impl<T: Fn(DeviceFault) -> bool, P: FnMut(Option<u16>)> Chip<T, P> {
-    /// After power-up: asleep.
+    /// State after power-up: sleep mode.
     pub fn new(trouble: T, put_out: P) -> Self {
         Self {
             registers: [0; DRIVERCONF + 1],
@@ -66,7 +66,7 @@ impl<T: Fn(DeviceFault) -> bool, P: FnMut(Option<u16>)> Chip<T, P> {
                 }
             }
             OIS_LSB..COMMAND | DRIVERCONF => self.registers[register] = byte,
-            // Read only, or none.
+            // Read-only or unused registers.
             _ => {}
         }
     }
@@ -108,7 +108,7 @@ impl<T: Fn(DeviceFault) -> bool, P: FnMut(Option<u16>)> I2cDevice for Chip<T, P>
             return false;
         }
         if (self.trouble)(DeviceFault::LensForgets) {
-            // Its supply failed for a moment.
+            // Its supply failed briefly.
             self.registers = [0; DRIVERCONF + 1];
             (self.put_out)(None);
         }

@@ -9,7 +9,7 @@
 //!             ◄──press open, guard, ..──► press ◄──head clear
 //!                                     camera ──► ExposureSink: what was exposed, under which pattern, at which pose
 //! ```
-//! The models know nothing of each other but what light and mechanics carry between them: [`World`].
+//! The models share only the state that light and mechanics carry between them: [`World`].
 
 pub mod axis;
 pub mod camera;
@@ -39,19 +39,19 @@ use flankscope_sim::{Sim, Wiring};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-/// What light and mechanics carry between the devices.
+/// State that light and mechanics carry between the devices.
 pub struct World {
-    /// DMD index standing on each projector's mirrors: 0 is black.
+    /// DMD pattern index displayed by each projector: 0 is black.
     pub displayed: [Cell<u16>; 2],
-    /// Light comes out of each projector's LED.
+    /// Whether each projector's LED emits light.
     pub lit: [Cell<bool>; 2],
-    /// Both axes as they really are.
+    /// True state of both axes.
     pub stage: RefCell<StageModel>,
-    /// Faults given while it runs.
+    /// Injected faults.
     pub faults: Faults,
-    /// The retract switch says this, whatever the stage does.
+    /// Fixed state of the retract switch, independent of the stage (fault).
     pub switch_stuck: Cell<Option<bool>>,
-    /// Rung whenever a stage gets another course.
+    /// Signals that a stage has a new trajectory.
     course: Signal<NoopRawMutex, ()>,
 }
 
@@ -68,15 +68,15 @@ pub struct DeviceConfig {
     pub axes: stage::AxisModels,
     /// Press around the die.
     pub press: PressModel,
-    /// The head has a liquid lens, and the controller a driver for it.
+    /// Whether the head has a liquid lens, and the controller a driver for it.
     pub lens: bool,
-    /// The head has a second projector, and the controller its light engine.
+    /// Whether the head has a second projector, and the controller its light engine.
     pub second_projector: bool,
     /// Seed of the stage errors.
     pub seed: u64,
 }
 
-/// Puts all devices on their side of the wiring.
+/// Connects all devices to the controller's pins.
 pub fn spawn_all(
     sim: &Sim,
     wiring: &Wiring,

@@ -1,4 +1,4 @@
-//! Motion of one axis in closed form: brake from whatever speed there is, then a trapezoid from rest to the target.
+//! Motion of one axis in closed form: braking from the present speed, then a trapezoidal profile from rest to the target.
 
 /// Velocity and acceleration limits, in units of the axis per second and per second squared.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,14 +11,14 @@ pub struct Dynamics {
     pub deceleration: f64,
 }
 
-/// A motion that began at some time with some speed and ends at rest.
+/// A motion from an initial speed to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Profile {
     start_s: f64,
     from: f64,
     from_speed: f64,
     brake_s: f64,
-    /// Where braking ends and the trapezoid begins.
+    /// Position at which braking ends and the trapezoid begins.
     turn: f64,
     target: f64,
     dynamics: Dynamics,
@@ -39,7 +39,7 @@ impl Trapezoid {
 }
 
 impl Profile {
-    /// At rest for ever.
+    /// Permanently at rest.
     #[must_use]
     pub fn rest(at: f64) -> Self {
         let dynamics = Dynamics {
@@ -58,7 +58,7 @@ impl Profile {
         }
     }
 
-    /// From where this motion is at `now_s` to `target`.
+    /// Motion from the present state at `now_s` to `target`.
     #[must_use]
     pub fn redirect(&self, now_s: f64, target: f64, dynamics: Dynamics) -> Self {
         Self {
@@ -67,7 +67,7 @@ impl Profile {
         }
     }
 
-    /// From where this motion is at `now_s` to rest as soon as possible.
+    /// Motion from the present state at `now_s` to rest as soon as possible.
     #[must_use]
     pub fn brake(&self, now_s: f64, dynamics: Dynamics) -> Self {
         let (from, from_speed) = (self.position(now_s), self.speed(now_s));
@@ -84,19 +84,19 @@ impl Profile {
         }
     }
 
-    /// Where it comes to rest.
+    /// Final position.
     #[must_use]
     pub fn target(&self) -> f64 {
         self.target
     }
 
-    /// When it comes to rest.
+    /// Time at which it comes to rest.
     #[must_use]
     pub fn end_s(&self) -> f64 {
         self.start_s + self.brake_s + self.trapezoid().total_s()
     }
 
-    /// From rest at the turn to rest at the target.
+    /// The profile from rest at the end of braking to rest at the target.
     fn trapezoid(&self) -> Trapezoid {
         let Dynamics {
             speed,
@@ -104,7 +104,7 @@ impl Profile {
             deceleration,
         } = self.dynamics;
         let distance = (self.target - self.turn).abs();
-        // Both ramps at full speed take this much of the way.
+        // Distance of both ramps at full speed.
         let ramps = 0.5 * speed * speed * (1.0 / acceleration + 1.0 / deceleration);
         let (peak, cruise_s) = if distance >= ramps {
             (speed, (distance - ramps) / speed)
@@ -189,7 +189,7 @@ mod tests {
         let long = Profile::rest(0.0).redirect(0.0, 131.25, gentle);
         assert!((long.end_s() - (0.125 + 1.0 + 0.5)).abs() < 1e-12);
         assert!((long.position(1.125) - 106.25).abs() < 1e-9 && long.speed(1.125) == 100.0);
-        // A short one turns where both ramps meet: v² (1/800 + 1/200) / 2 = 5.
+        // On a short distance, both ramps meet: v² (1/800 + 1/200) / 2 = 5.
         let short = Profile::rest(0.0).redirect(0.0, 5.0, gentle);
         let peak = (10.0f64 / (1.0 / 800.0 + 1.0 / 200.0)).sqrt();
         assert!((short.speed(peak / 800.0) - peak).abs() < 1e-9);
@@ -202,7 +202,7 @@ mod tests {
         assert!((profile.end_s() - 2.0 * (2.0f64 / 800.0).sqrt()).abs() < 1e-12);
     }
 
-    /// Position is the integral of speed and speed never jumps, whatever interrupts the motion: checked by small steps.
+    /// Position is the integral of speed, and speed is continuous across interruptions: checked by small steps.
     #[test]
     fn position_is_the_integral_of_speed_through_redirects_and_stops() {
         let step_s = 1e-5;
@@ -224,7 +224,7 @@ mod tests {
             assert!(next.abs() <= 100.0 + 1e-9);
             position += 0.5 * (speed + next) * step_s;
             speed = next;
-            // Trapezoidal rule on piecewise linear speed: wrong only in the few steps across a kink, 1e-6 at most each.
+            // The trapezoidal rule is exact on piecewise linear speed, except in the few steps across a kink, 1e-6 at most each.
             assert!(
                 (profile.position(now_s + step_s) - position).abs() < 2e-5,
                 "at {now_s} s"

@@ -1,4 +1,4 @@
-//! The press around the die: its ram with the signals it gives, and the switch that says that the head is out.
+//! The press around the die: the ram with its signals, and the switch that reports the retracted head.
 //!
 //! ```text
 //!  ram      top ──► leaves ──► closed ──► returns ──► top, waits for head-clear ──► ..
@@ -15,21 +15,21 @@ use flankscope_sim::Board;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// How the press runs.
+/// Properties of the press.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PressModel {
-    /// 0: it stands open.
+    /// Strokes per minute; 0: it stays open.
     pub strokes_per_minute: f64,
-    /// Share of a cycle during which it counts as open, half before and half after the top.
+    /// Fraction of a cycle during which it counts as open, half before and half after the top.
     pub open_share: f64,
-    /// Channel B follows channel A after this.
+    /// Delay of channel B relative to channel A.
     pub skew_us: u64,
-    /// The retract switch is made from this height of the vertical stage on, mm.
+    /// Height of the vertical stage from which the retract switch is closed, mm.
     pub switch_mm: f64,
 }
 
 impl Default for PressModel {
-    /// Stopped and open; the switch stands 14 mm above the demo die.
+    /// Stopped and open; the switch is 14 mm above the demo die.
     fn default() -> Self {
         Self {
             strokes_per_minute: 0.0,
@@ -58,7 +58,7 @@ pub(super) async fn ram<S: ExposureSink>(board: Board, model: PressModel, sink: 
     let skew = Duration::from_micros(model.skew_us);
     let mut strokes = 0;
     loop {
-        // Both channels, or the ram stays where it is.
+        // Both channels are needed; otherwise the ram stays at the top.
         while !(lines.head_clear_1.level() && lines.head_clear_2.level()) {
             let Ok(()) = lines.head_clear_1.wait_for_high().await;
             let Ok(()) = lines.head_clear_2.wait_for_high().await;
@@ -83,7 +83,7 @@ pub(super) async fn ram<S: ExposureSink>(board: Board, model: PressModel, sink: 
     }
 }
 
-/// The switch follows the stage's true course.
+/// The switch follows the stage's true position.
 pub(super) async fn retract_switch(board: Board, model: PressModel, world: Rc<World>) {
     let switch = board.press.retract_switch;
     loop {

@@ -1,4 +1,4 @@
-//! `head.toml`: lenses, where they are, and which patterns they show.
+//! `head.toml`: lenses, their poses, and the patterns.
 
 use std::path::Path;
 
@@ -10,23 +10,23 @@ use crate::world::{
     Fringes, HeadDesign, HeadOptics, Pinhole, Remainder, SecondProjector, Unevenness,
 };
 
-/// The bench's part of a head file.
+/// The part of a head file that the bench uses.
 #[derive(Clone, Debug, Deserialize)]
 pub struct HeadFile {
-    /// Name of the pattern set; without it that of the head as it was made.
+    /// Name of the pattern set; by default that of the head's design.
     pub pattern_set: Option<String>,
-    /// Frequencies of that set, where it is the head's own.
+    /// Frequencies of that set, if it is specific to the head.
     #[serde(default)]
     pub fringes: Vec<Fringes>,
     /// Objective and sensor.
     pub camera: Lens,
     /// Objective and DMD.
     pub projector: Lens,
-    /// Projector against camera.
+    /// Pose of the camera relative to the projector.
     pub projector_from_camera: Placement,
-    /// Another projector.
+    /// A second projector.
     pub second_projector: Option<SecondLens>,
-    /// Camera on the stages; without it, where the head as it was made has it.
+    /// Pose of the camera on the stages; by default that of the head's design.
     pub stage_from_camera: Option<Placement>,
 }
 
@@ -35,7 +35,7 @@ pub struct HeadFile {
 pub struct SecondLens {
     /// Objective and DMD.
     pub projector: Lens,
-    /// Against the camera.
+    /// Pose of the camera relative to it.
     pub projector_from_camera: Placement,
 }
 
@@ -49,7 +49,7 @@ pub struct Lens {
     /// k1, k2, p1, p2, k3.
     #[serde(default)]
     pub distortion: [f64; 5],
-    /// What the lens does beyond that.
+    /// Residual distortion beyond that model.
     pub residual: Option<Box<Remainder>>,
 }
 
@@ -62,7 +62,7 @@ impl HeadFile {
         read(path)
     }
 
-    /// A head as a file would state it.
+    /// The head file that describes a design exactly.
     #[must_use]
     pub fn of(made: &HeadDesign) -> Self {
         let optics = made.optics();
@@ -86,7 +86,7 @@ impl HeadFile {
         }
     }
 
-    /// Puts the head into the optics of a world.
+    /// Sets the optics of a world to this head.
     pub fn impose(&self, optics: &mut HeadOptics) {
         optics.camera = self.camera.pinhole();
         optics.projector = self.projector.pinhole();

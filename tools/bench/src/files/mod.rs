@@ -1,6 +1,6 @@
-//! What the bench reads of the files that describe a die, a head and a target: its own few keys of them, by readers of its own.
+//! Files that describe a die, a head and a target: the bench reads the few keys that it uses with its own parsers.
 //!
-//! `docs/formats` describes the files. Who measures checks them; the bench takes from them what stands on it.
+//! `docs/formats` describes the files. The instrument validates them; the bench only takes the geometry of its scene.
 
 mod head;
 pub mod mesh;
@@ -20,7 +20,7 @@ pub use optics::{FILE as OPTICS_FILE, MadeHead, made_head_beside};
 pub use target::{Dots, KEYS, Partner, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 
-/// Why a file says nothing of use to the bench.
+/// Why the bench cannot use a file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
@@ -37,10 +37,10 @@ pub enum FileError {
     Toml {
         /// The file.
         path: PathBuf,
-        /// Cause, with its place.
+        /// Cause, with its position.
         cause: Box<toml::de::Error>,
     },
-    /// An infinite number, or none.
+    /// A number is infinite or NaN.
     #[error("{}: {key} = {got}; must be a finite number", path.display())]
     NotFinite {
         /// The file.
@@ -50,7 +50,7 @@ pub enum FileError {
         /// Its value.
         got: f64,
     },
-    /// A number that nothing can have.
+    /// A value is out of range.
     #[error("{}: {key} = {got}; must be {expected}", path.display())]
     Value {
         /// The file.
@@ -59,7 +59,7 @@ pub enum FileError {
         key: &'static str,
         /// Its value.
         got: f64,
-        /// What would be right.
+        /// Expected values.
         expected: &'static str,
     },
 }
@@ -68,10 +68,10 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, FileError> {
     parse(path, &text(path)?)
 }
 
-/// What is at a path, if that is a regular file: a pipe or a device may never end.
+/// The path, if it is a regular file; reading a pipe or a device might never end.
 ///
 /// # Errors
-/// The operating system's, or it is something else.
+/// Errors of the operating system, or the path is not a regular file.
 pub fn regular(path: &Path) -> std::io::Result<&Path> {
     if std::fs::metadata(path)?.is_file() {
         return Ok(path);
@@ -101,7 +101,7 @@ fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, FileError> {
     toml::from_str(text).map_err(refused)
 }
 
-/// The first number of a file that is none, under its key: nothing in a world is as large.
+/// The first number of a file that is not finite or too large for a world, with its key.
 fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
     let below = |key: String, value: &toml::Value| {
         let (inner, got) = not_finite(value)?;
@@ -125,10 +125,10 @@ fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
     }
 }
 
-/// A pose as files state it.
+/// A pose, as in the files.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct Placement {
-    /// Row by row.
+    /// Rotation matrix, row by row.
     pub rotation: [[f64; 3]; 3],
     /// Translation, mm.
     pub translation_mm: [f64; 3],

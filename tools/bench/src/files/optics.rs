@@ -1,4 +1,4 @@
-//! `optics.toml`: a head as it was made, with all that light does in it; the bench's alone, for no head file tells that.
+//! `optics.toml`: the design of a head with all optical properties; used by the bench only, because a head file does not contain them.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -6,10 +6,10 @@ use std::str::FromStr;
 use super::{FileError, parse, read};
 use crate::world::{AT_HAND, Driven, HeadDesign};
 
-/// Name of the file, beside a tool's or a target's.
+/// Name of the file, in the folder of a tool or target.
 pub const FILE: &str = "optics.toml";
 
-/// The head beside a tool's or target's file, else that of the demo.
+/// The head in the folder of a tool or target file, else that of the demo.
 ///
 /// # Errors
 /// [`FileError`].
@@ -21,7 +21,7 @@ pub fn made_head_beside(file: &Path) -> Result<HeadDesign, FileError> {
     }
 }
 
-/// What a file states and no part of a world checks.
+/// Checks values that the world does not check.
 fn checked(head: HeadDesign, path: &Path) -> Result<HeadDesign, FileError> {
     let lengths = [
         ("working_distance_mm", head.working_distance_mm),
@@ -40,7 +40,7 @@ fn checked(head: HeadDesign, path: &Path) -> Result<HeadDesign, FileError> {
         expected,
     };
     for (key, got) in lengths {
-        // Written so that a NaN fails.
+        // Written so that NaN fails.
         if !(got > 0.0 && got < 1e4) {
             return Err(bad(key, got, "above 0 and below 10 000"));
         }
@@ -62,7 +62,7 @@ fn checked(head: HeadDesign, path: &Path) -> Result<HeadDesign, FileError> {
     Ok(head)
 }
 
-/// A liquid lens that images, driven within its range.
+/// Checks that a liquid lens forms an image, and is driven within its range.
 fn check_lens(
     head: &HeadDesign,
     bad: impl Fn(&'static str, f64, &'static str) -> FileError,
@@ -78,7 +78,7 @@ fn check_lens(
             None => Ok(()),
         };
     };
-    // Written so that a NaN fails, here and below.
+    // Written so that NaN fails, here and below.
     if !(lens.apart_mm >= 0.0 && lens.apart_mm < head.stand_off_mm) {
         let expected = "0 or more, and less than stand_off_mm";
         return Err(bad("lens.apart_mm", lens.apart_mm, expected));
@@ -125,7 +125,7 @@ fn check_lens(
         let expected = "within lens.range_dpt";
         return Err(bad("driven.setting_dpt", driven.setting_dpt, expected));
     }
-    // Drift comes on top of the range: whatever it makes of the focus, there has to be one before the lens.
+    // Drift adds to the range; with both, best focus must still be in front of the lens.
     let near_mm = head.best_focus_mm() - lens.apart_mm;
     if !(near_mm > 0.0 && near_mm < 1e4) {
         let expected = "such that something before the lens is in focus";
@@ -134,8 +134,8 @@ fn check_lens(
     Ok(())
 }
 
-/// The setting behind the last `@` of what was given: dioptres, and degrees Celsius if they are told; nothing where no number
-/// follows, for a file's name may have one.
+/// The setting after the last `@`: dioptres, and degrees Celsius if given. `None` if no number follows, because a file name may
+/// contain `@`.
 fn driven_in(given: &str) -> (&str, Option<Driven>) {
     let finite = |text: &str| text.parse().ok().filter(|number: &f64| number.is_finite());
     let setting = given.rsplit_once('@').and_then(|(head, setting)| {
@@ -155,15 +155,15 @@ fn driven_in(given: &str) -> (&str, Option<Driven>) {
     setting.map_or((given, None), |(head, driven)| (head, Some(driven)))
 }
 
-/// A head that comes along, by its name, or any other, by its file, and how its liquid lenses are driven (`liquid@1.5`, or
-/// `liquid@1.5,30` where they are 30 degrees warm); its text goes into a folder as it is, the setting behind it.
+/// A built-in head by its name, or any other by its file, with the setting of its liquid lenses (`liquid@1.5`, or `liquid@1.5,30`
+/// at a lens temperature of 30 °C). The text is written into a folder unchanged, followed by the setting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MadeHead {
-    /// As it was asked for.
+    /// Name or file, as given.
     pub given: String,
-    /// What it is.
+    /// Its design.
     pub optics: Box<HeadDesign>,
-    /// As it is written.
+    /// Text of its file.
     pub text: String,
 }
 
@@ -226,7 +226,7 @@ mod tests {
         assert_eq!(radius_mm("liquid"), 41.5);
         assert_eq!(radius_mm("liquid@0"), 41.5);
         assert!(radius_mm("liquid@3") < 40.5 && radius_mm("liquid@-3,23") > 42.5);
-        // A kelvin is a twentieth of a dioptre.
+        // A kelvin changes the power by a twentieth of a dioptre.
         assert!((radius_mm("liquid@1,43") - radius_mm("liquid@2")).abs() < 1e-9);
         for (given, key) in [
             ("liquid@4.5", "driven.setting_dpt = 4.5"),

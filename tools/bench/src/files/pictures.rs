@@ -1,4 +1,4 @@
-//! Pictures that the DMD is loaded with: a folder of `flankscope patterns --adaptive`.
+//! Pictures for the DMD: a folder written by `flankscope patterns --adaptive`.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::world::{DmdPass, PatternSpec};
 
-/// What `adaptive.json` says: which pictures, and the folder of each pass.
+/// Contents of `adaptive.json`: pictures, and the folder of each pass.
 #[derive(Deserialize)]
 struct Index {
     set: String,
@@ -22,7 +22,7 @@ struct Pass {
     lights: String,
 }
 
-/// What `patterns.json` of a pass says.
+/// Contents of `patterns.json` of a pass.
 #[derive(Deserialize)]
 struct Pictures {
     patterns: Vec<Picture>,
@@ -35,17 +35,17 @@ struct Picture {
     shows: PatternSpec,
 }
 
-/// The patterns of a pass, and what the DMD shows of them in each pass.
+/// The patterns of a pass, and what the DMD displays of them in each pass.
 ///
 /// # Errors
-/// What cannot be read, is no grey image of the DMD's size, or shows other fringes than its set.
+/// A file cannot be read, is not a grey image of the DMD's size, or shows other fringes than its set.
 pub fn load(
     folder: &Path,
     size_px: [usize; 2],
 ) -> anyhow::Result<(Vec<PatternSpec>, Vec<DmdPass>)> {
     let index: Index = json(&folder.join("adaptive.json"))?;
     let set = index.set;
-    // A set that is not known by its name is what its first pass shows.
+    // A set that is not known by name is defined by the patterns of its first pass.
     let mut known = PatternSpec::named(&set);
     let mut passes = Vec::new();
     for Pass { lights } in index.passes {
@@ -58,7 +58,7 @@ pub fn load(
             "{} shows other fringes than {set}",
             folder.display()
         );
-        // The mean over the phase steps is half of what a mirror gets.
+        // The mean over the phase steps is half of a mirror's brightness.
         let finest = patterns.last().map_or(0.0, |last| last.periods);
         let mut sums = vec![0_u32; size_px[0] * size_px[1]];
         for picture in &pictures.patterns {

@@ -1,4 +1,4 @@
-//! `target.toml`: where plates and sphere stand, and what is printed on the plates.
+//! `target.toml`: poses of plates and sphere, and the pattern printed on the plates.
 
 use std::path::Path;
 
@@ -6,28 +6,28 @@ use serde::Deserialize;
 
 use super::{FileError, Placement, read};
 
-/// Places of the three larger dots that mark the middle of a plate, in pitches.
+/// Positions of the three larger dots that mark the centre of a plate, in pitches.
 pub const KEYS: [[i32; 2]; 3] = [[0, 0], [2, 0], [0, 1]];
 
-/// The bench's part of a target file.
+/// The part of a target file that the bench uses.
 #[derive(Clone, Debug, Deserialize)]
 pub struct TargetFile {
-    /// Standard uncertainty of each plate's place.
+    /// Standard uncertainty of each plate's position.
     pub pose_sigma_mm: f64,
     /// Standard uncertainty of each plate's orientation.
     pub pose_sigma_rad: f64,
-    /// What is printed on the plates.
+    /// The printed pattern.
     pub dots: Dots,
     /// The plate without print.
     pub blank: Plate,
     /// The printed plates.
     pub plate: Vec<Plate>,
-    /// Further ones without print.
+    /// Further plates without print.
     #[serde(default)]
     pub test_blank: Vec<Plate>,
-    /// A sphere beside them.
+    /// A sphere.
     pub sphere: Option<Sphere>,
-    /// Further ones.
+    /// Further spheres.
     #[serde(default)]
     pub test_sphere: Vec<Sphere>,
 }
@@ -35,7 +35,7 @@ pub struct TargetFile {
 /// A square grid of dark dots; three of them are larger.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub struct Dots {
-    /// From dot to dot.
+    /// Distance between neighbouring dots.
     pub pitch_mm: f64,
     /// Diameter of a dot.
     pub diameter_mm: f64,
@@ -43,10 +43,10 @@ pub struct Dots {
     pub key_diameter_mm: f64,
 }
 
-/// One plate; its frame lies in its surface with z out of it.
+/// One plate; the origin of its frame is on its surface, with z normal to it.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub struct Plate {
-    /// Where it stands.
+    /// Its pose.
     pub tool_from_plate: Placement,
 }
 
@@ -57,7 +57,7 @@ pub struct Sphere {
     pub centre_mm: [f64; 3],
     /// Its diameter.
     pub diameter_mm: f64,
-    /// Another one in the same field.
+    /// Another sphere in the same field.
     pub partner: Option<Partner>,
 }
 

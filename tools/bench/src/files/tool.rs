@@ -1,4 +1,4 @@
-//! `tool.toml`: which CAD, which gear, and where it is judged.
+//! `tool.toml`: CAD, gear data, and judged zones.
 
 use std::path::{Path, PathBuf};
 
@@ -6,14 +6,14 @@ use serde::Deserialize;
 
 use super::{FileError, read};
 
-/// The bench's part of a tool file.
+/// The part of a tool file that the bench uses.
 #[derive(Clone, Debug, Deserialize)]
 pub struct ToolFile {
     /// The drawing.
     pub cad: Cad,
-    /// Where its flanks are.
+    /// Gear data of its flanks.
     pub gear: Option<Gear>,
-    /// Where a check judges it.
+    /// Judged zones.
     pub inspect: Option<Inspect>,
 }
 
@@ -55,7 +55,7 @@ impl Unit {
     }
 }
 
-/// On which side of the pitch circle the teeth point.
+/// Whether the teeth point inwards or outwards from the pitch circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -89,10 +89,10 @@ pub struct Gear {
 /// The `[inspect]` table.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Inspect {
-    /// Teeth that are judged, from 1.
+    /// Judged teeth, from 1.
     #[serde(default)]
     pub teeth: Vec<u32>,
-    /// Height at which the head looks.
+    /// Height that the head views.
     #[serde(default)]
     pub height_mm: f64,
     /// Least and largest radius of the judged zone.
@@ -114,7 +114,7 @@ fn wear_area_mm2() -> f64 {
 }
 
 impl ToolFile {
-    /// Reads a tool file, or the `tool.toml` of a folder; beside it stands where it was read from.
+    /// Reads a tool file, or the `tool.toml` of a folder; also returns its path.
     ///
     /// # Errors
     /// [`FileError`].
@@ -129,8 +129,7 @@ impl ToolFile {
 }
 
 impl Gear {
-    /// Radii between which a flank works: a tenth of a module behind the tip to three quarters of a module beyond the pitch
-    /// circle.
+    /// Radii of the working flank: from a tenth of a module behind the tip to three quarters of a module beyond the pitch circle.
     #[must_use]
     pub fn working_mm(&self) -> [f64; 2] {
         let pitch_mm = 0.5 * self.module_mm * f64::from(self.teeth);

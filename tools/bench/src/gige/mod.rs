@@ -1,8 +1,8 @@
-//! The bench's camera as a stranger's: Aravis' own fake GigE Vision camera, whose pixels are the bench's.
+//! The bench's camera as a third-party camera: Aravis' fake GigE Vision camera, with pixels of the bench.
 //!
-//! It is a [`FrameSink`] like the shared memory: a frame that is handed over becomes the fake's pattern, a register write is its
-//! trigger, and it leaves as GigE Vision packets for whoever controls the camera. Aravis knows nothing of our pixels, and we of
-//! none of its packets.
+//! It is a [`FrameSink`] like the shared memory: a frame that is handed over becomes the fake camera's pattern, a register write
+//! triggers it, and it is sent as GigE Vision packets to the application that controls the camera. Aravis does not know how the
+//! pixels are made, and the bench does not know the packets.
 
 pub mod network;
 mod packing;
@@ -20,22 +20,22 @@ use tempfile::TempDir;
 use crate::link::Trouble;
 use crate::world::SensorSpec;
 
-/// Address of the camera, on a loopback of its own.
+/// Address of the camera, on its own loopback interface.
 const ADDRESS: &str = "127.0.0.1";
-/// Largest packets that the fake sends whole.
+/// Largest packets that the fake camera sends unfragmented.
 const PACKET_BYTES: &str = "16000";
-/// How fast its link is, bytes a second: gigabit Ethernet. Its packets leave at once, so the frames keep their distance.
+/// Speed of its link, bytes per second: gigabit Ethernet. Packets are sent immediately, so frames are spaced accordingly.
 const LINK_BYTES_PER_S: f64 = 125e6;
-/// How often the fake looks at its trigger register, a second.
+/// Rate at which the fake camera polls its trigger register, 1/s.
 const TRIGGER_RATE_HZ: f64 = 1000.0;
-/// A trigger that is not obeyed within this never will be: the camera is not armed.
+/// A trigger that is not obeyed within this time is lost, because the camera is not armed.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// How long a camera that was unplugged stays away.
+/// Time for which an unplugged camera stays disconnected.
 const AWAY: Duration = Duration::from_secs(2);
 /// Frame period of a camera that runs freely, µs.
 const FREE_PERIOD_US: u32 = 20_000;
 
-/// Registers of the fake that its header states.
+/// Registers of the fake camera, from its header file.
 mod register {
     pub const WIDTH: u32 = 0x100;
     pub const HEIGHT: u32 = 0x104;
@@ -45,7 +45,7 @@ mod register {
     pub const FRAME_PERIOD_US: u32 = 0x138;
     pub const TRIGGER_MODE: u32 = 0x300;
     pub const TRIGGER_SOFTWARE: u32 = 0x30c;
-    // Free ones, which our description gives a meaning.
+    // Unused registers, to which our description assigns a meaning.
     pub const BLACK_LEVEL: u32 = 0x8000;
     pub const GAIN_DB: u32 = 0x8004;
     pub const DEAD: u32 = 0x8010;
@@ -55,37 +55,37 @@ mod register {
 const MONO_12P: (&str, u32) = ("Mono12p", 0x010C_0047);
 const MONO_8: (&str, u32) = ("Mono8", 0x0108_0001);
 const BAYER_RG_12P: (&str, u32) = ("BayerRG12p", 0x010C_0059);
-/// What a camera amplifies that should not, dB.
+/// Gain of the fault `Amplified`, dB.
 const AMPLIFIED_DB: f32 = 6.0;
-/// By how much a sensor is smaller, px.
+/// Size reduction of the fault `Smaller`, px.
 const SMALLER_PX: u32 = 64;
 
-/// A frame on its way into the fake.
+/// A frame to be sent by the fake camera.
 struct Packed {
     bytes: Vec<u8>,
     exposure_end_us: u64,
 }
 
-/// Where the fake's thread takes it.
+/// Where the fake camera's thread fetches the frame.
 #[derive(Default)]
 struct Hand {
     frame: Mutex<Option<Packed>>,
     taken: Condvar,
 }
 
-/// The camera's end of the link.
+/// The bench's side of the camera.
 pub struct GigeCamera {
-    // Before what its thread looks at.
+    // Declared before the data that its thread reads, so it is dropped first.
     fake: Option<GvFakeCamera>,
     hand: Arc<Hand>,
     folder: TempDir,
     size_px: [usize; 2],
     trouble: Option<Trouble>,
-    /// When it is plugged in again.
+    /// Time at which it is plugged in again.
     back: Option<Instant>,
     captures: u32,
     acquiring: bool,
-    /// Frames handed over since it was armed.
+    /// Frames sent since it was armed.
     sent: u32,
     sensor: [f32; 2],
 }
@@ -106,7 +106,7 @@ impl FrameSlot for Slot {
     }
 }
 
-/// What a camera process must be told to find this camera.
+/// Arguments with which a camera process finds this camera.
 #[must_use]
 pub fn arguments(sensor: &SensorSpec) -> Vec<String> {
     let gain = sensor.gain_e_per_dn().to_string();
@@ -130,10 +130,10 @@ pub fn arguments(sensor: &SensorSpec) -> Vec<String> {
 }
 
 impl GigeCamera {
-    /// Switches a camera of this size on.
+    /// Switches on a camera of this size.
     ///
     /// # Errors
-    /// Another one has its port, or its samples have not twelve bits.
+    /// Another camera uses its port, or its samples do not have twelve bits.
     pub fn open(
         size_px: [usize; 2],
         sensor: &SensorSpec,
@@ -174,12 +174,12 @@ impl GigeCamera {
         }
     }
 
-    /// Writes what the camera says of itself, for Aravis.
+    /// Writes the camera's description file for Aravis.
     fn description(&self) -> anyhow::Result<PathBuf> {
         let path = self.folder.path().join("camera.xml");
         let (format, value) = self.format();
         let trigger_mode = match self.trouble {
-            // It takes the setting, and does as before.
+            // Fault: the register accepts the setting without effect.
             Some(Trouble::FreeRuns) => register::DEAD,
             _ => register::TRIGGER_MODE,
         };
@@ -239,12 +239,12 @@ impl GigeCamera {
         Ok(())
     }
 
-    /// The fake behind the link, while it is plugged in.
+    /// The fake camera, while it is plugged in.
     fn inner(&self) -> Option<FakeCamera> {
         self.fake.as_ref()?.fake_camera()
     }
 
-    /// Hands a frame to the fake and triggers it; waits until it took it. One that is unplugged or not armed takes none.
+    /// Passes a frame to the fake camera and triggers it; waits until it was taken. An unplugged or unarmed camera takes none.
     fn show(&self, frame: Packed) -> Result<(), &'static str> {
         let armed = |inner: &FakeCamera| inner.acquisition_status() != 0;
         let Some(inner) = self.inner().filter(armed) else {
@@ -277,7 +277,7 @@ impl GigeCamera {
     }
 }
 
-/// The fake's pattern: the frame that waits, or the one before if none does.
+/// Pattern callback of the fake camera: fills in the waiting frame, or repeats the previous one.
 unsafe extern "C" fn show(
     buffer: *mut aravis_sys::ArvBuffer,
     hand: *mut c_void,
@@ -291,7 +291,7 @@ unsafe extern "C" fn show(
         let hand = &*hand.cast::<Hand>();
         let mut waiting = hand.frame.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(frame) = waiting.take() else { return };
-        // The size that this could tell is of what was received, which is nothing here.
+        // The size returned by this call is of received data, which is nothing here.
         let data: *mut u8 = aravis_sys::arv_buffer_get_data(buffer, std::ptr::null_mut()).cast();
         if !data.is_null() {
             data.copy_from_nonoverlapping(frame.bytes.as_ptr(), frame.bytes.len());
@@ -304,7 +304,7 @@ unsafe extern "C" fn show(
 impl FrameSink for GigeCamera {
     type Slot = Slot;
 
-    /// Whoever starts the acquisition arms the camera, for nobody knows how many frames.
+    /// Starting the acquisition arms the camera, for an unknown number of frames.
     fn armed(&mut self) -> Option<Arm> {
         if self.back.is_some_and(|back| Instant::now() > back) {
             self.back = None;
@@ -327,7 +327,7 @@ impl FrameSink for GigeCamera {
         })
     }
 
-    /// It says of itself what its registers hold.
+    /// Nothing to do: the camera's properties are in its registers.
     fn ready(&mut self, _: Ready) -> Result<(), SendError> {
         Ok(())
     }

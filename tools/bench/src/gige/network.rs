@@ -1,4 +1,4 @@
-//! A network of the bench's own: its camera disturbs nobody, and two benches not each other.
+//! A private network namespace for the bench, so that its camera does not disturb others, nor two benches each other.
 
 use std::ffi::c_short;
 use std::fs::write;
@@ -9,7 +9,7 @@ use rustix::net::{AddressFamily, SocketType, socket};
 use rustix::process::{DumpableBehavior, getgid, getuid, set_dumpable_behavior};
 use rustix::thread::{UnshareFlags, unshare_unsafe};
 
-/// `struct ifreq` with its flags.
+/// `struct ifreq` with interface flags.
 #[repr(C)]
 struct InterfaceFlags {
     name: [u8; 16],
@@ -20,11 +20,11 @@ struct InterfaceFlags {
 const SIOCSIFFLAGS: Opcode = 0x8914;
 const IFF_UP: c_short = 1;
 
-/// Moves this process, which has one thread yet, into a network of its own with nothing but a loopback. Where the system does not
-/// allow that, it stays in that of the host; returns whether it has its own.
+/// Moves this process, which must have one thread only, into its own network namespace with a loopback interface only. If the
+/// system does not allow that, it stays in the host's. Returns whether it has its own.
 ///
 /// # Errors
-/// It has its own, but the loopback there cannot be used.
+/// It has its own, but its loopback interface cannot be used.
 pub fn enter() -> anyhow::Result<bool> {
     let (uid, gid) = (getuid().as_raw(), getgid().as_raw());
     // SAFETY: no memory, files or threads are unshared.
@@ -35,11 +35,11 @@ pub fn enter() -> anyhow::Result<bool> {
             return Ok(false);
         }
     } else {
-        // Who we were outside we are inside, too.
+        // The user and group ids stay the same inside.
         write("/proc/self/setgroups", "deny").context("setgroups")?;
         write("/proc/self/uid_map", format!("{uid} {uid} 1")).context("uid_map")?;
         write("/proc/self/gid_map", format!("{gid} {gid} 1")).context("gid_map")?;
-        // The camera process follows by our entry in /proc.
+        // The camera process joins through our entry in /proc.
         set_dumpable_behavior(DumpableBehavior::Dumpable)?;
     }
     let mut name = [0; 16];

@@ -1,4 +1,4 @@
-//! How samples lie in a GigE Vision frame.
+//! Packing of samples in a GigE Vision frame.
 
 /// `Mono12p` (EMVA, Pixel Format Naming Convention 2.1): one stream of bits, the lowest bit of each sample first.
 pub fn mono_12p(pixels: &[u16]) -> Vec<u8> {
@@ -17,7 +17,7 @@ pub fn mono_12p(pixels: &[u16]) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// Against the convention, bit by bit.
+    /// Compared with the convention, bit by bit.
     #[test]
     fn every_bit_is_where_the_convention_has_it() {
         for length in 0..9_u16 {

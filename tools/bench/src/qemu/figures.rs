@@ -1,13 +1,13 @@
-//! How punctual the emulated controller was, by its own clock.
+//! Timing accuracy of the emulated controller, by its own clock.
 
 use serde::{Deserialize, Serialize};
 
 use flankscope_pin_wire::{PinMessage, Subject};
 
-/// Smallest and largest of a kind of interval.
+/// Range of one kind of interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Spread {
-    /// How many.
+    /// Number of intervals.
     pub count: u64,
     /// Shortest, us.
     pub min_us: u64,
@@ -42,42 +42,42 @@ impl Spread {
     }
 }
 
-/// What was measured in one run. `None`: it did not occur.
+/// Results of one run. `None`: it did not occur.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Times that the image started; more than one is a reset.
+    /// Number of starts of the image; more than one means a reset.
     pub starts: usize,
-    /// Most stack ever used, bytes.
+    /// Largest stack usage, bytes.
     pub stack_bytes: Option<u16>,
-    /// Longest time from the due time of an alarm that ends an exposure to its interrupt, us.
+    /// Longest delay of the interrupt after an alarm that ends an exposure, µs.
     pub timer_interrupt_us: Option<u16>,
-    /// Input seen in its interrupt -> output that follows from it at once (DMD ready -> DMD trigger released).
+    /// Delay from an input's interrupt to the output that follows immediately (DMD ready -> DMD trigger released).
     pub reaction: Option<Spread>,
-    /// Camera trigger pulse beyond the exposure commanded, which is a multiple of 0.1 ms.
+    /// Excess of the camera trigger pulse over the commanded exposure, which is a multiple of 0.1 ms.
     pub pulse_excess: Option<Spread>,
-    /// DMD trigger -> camera trigger of the same frame: switching time and settling, and the bench's answers on the way.
+    /// DMD trigger -> camera trigger of the same frame: switching and settling time, and the bench's answers in between.
     pub dmd_to_camera: Option<Spread>,
-    /// DMD ready seen -> camera trigger, of exposures longer than a readout: their start waits for the settle alone, so
-    /// the shortest is the settle, and the rest is lateness.
+    /// DMD ready received -> camera trigger, for exposures longer than a readout. Their start waits for settling alone, so the
+    /// shortest interval is the settling time, and the excess is lateness.
     pub ready_to_camera: Option<Spread>,
-    /// Trigger to trigger between frames of one exposure, jitter as (longest - shortest), the worst of all exposures, us.
+    /// Jitter (longest - shortest) of the trigger period between frames of one exposure; the largest of all exposures, µs.
     pub period_jitter_us: Option<u64>,
-    /// Likewise, of the triggers that waited for the readout of the frame before alone, no answer of the bench being late:
-    /// the controller's own.
+    /// The same jitter for triggers that waited only for the readout of the previous frame, without a late answer of the bench:
+    /// the controller's own jitter.
     pub held_period_jitter_us: Option<u64>,
 }
 
-/// Exposures are commanded in multiples of this.
+/// Exposures are commanded in multiples of this, µs.
 const EXPOSURE_STEP_US: u64 = 100;
 /// The camera's readout takes 12.5 ms.
 const LONGER_THAN_READOUT_US: u64 = 13_000;
-/// A trigger this much later than its pattern had settled was waiting for the readout.
+/// A trigger this much later than the settling of its pattern was waiting for the readout, µs.
 const HELD_US: u64 = 100;
 /// Frames further apart than this belong to different views.
 const SAME_VIEW_US: u64 = 200_000;
 
 impl Figures {
-    /// Measures a trace.
+    /// Evaluates a trace.
     #[must_use]
     pub fn of(trace: &[PinMessage]) -> Self {
         let all = |subject: Subject| {
@@ -119,7 +119,7 @@ impl Figures {
     }
 }
 
-/// The exposure that a pulse stands for.
+/// The commanded exposure of a pulse.
 fn nominal(width_us: u64) -> u64 {
     width_us / EXPOSURE_STEP_US * EXPOSURE_STEP_US
 }
@@ -141,7 +141,7 @@ fn pulses(trace: &[PinMessage]) -> Vec<(u64, u64)> {
     pulses
 }
 
-/// The exposure of two frames of a view, the second one's trigger, and the time from the first one's to that.
+/// Exposure of two successive frames of a view, time of the second trigger, and interval between both.
 type Period = (u64, u64, u64);
 
 fn periods(pulses: &[(u64, u64)]) -> Vec<Period> {
@@ -155,7 +155,7 @@ fn periods(pulses: &[(u64, u64)]) -> Vec<Period> {
     periods
 }
 
-/// The worst of all exposures.
+/// The largest of all exposures.
 fn jitter(periods: &[Period]) -> Option<u64> {
     let of = |exposure: u64| {
         let same = periods.iter().filter(move |period| period.0 == exposure);
@@ -165,7 +165,7 @@ fn jitter(periods: &[Period]) -> Option<u64> {
     spreads.map(|spread| spread.width_us()).max()
 }
 
-/// From each rise of one output to the next rise of another.
+/// Intervals from each rise of one output to the next rise of another.
 fn between(trace: &[PinMessage], first: Subject, second: Subject) -> Vec<u64> {
     let mut since = None;
     let mut intervals = Vec::new();
@@ -181,7 +181,7 @@ fn between(trace: &[PinMessage], first: Subject, second: Subject) -> Vec<u64> {
     intervals
 }
 
-/// From DMD ready seen to the camera trigger, where that waits for no readout.
+/// Intervals from DMD ready received to the camera trigger, where that waits for no readout.
 fn settled(trace: &[PinMessage], pulses: &[(u64, u64)]) -> Vec<u64> {
     let long = |start: &u64| {
         let mut of_start = pulses.iter().filter(|(at, _)| at == start);
@@ -201,7 +201,7 @@ fn settled(trace: &[PinMessage], pulses: &[(u64, u64)]) -> Vec<u64> {
     intervals
 }
 
-/// From DMD ready seen to the DMD trigger released.
+/// Intervals from DMD ready received to DMD trigger released.
 fn reactions(trace: &[PinMessage]) -> Vec<u64> {
     let mut seen = None;
     let mut intervals = Vec::new();
@@ -232,7 +232,7 @@ mod tests {
     #[test]
     fn intervals_are_taken_between_the_edges_that_belong_together() {
         let mut trace = vec![message(Subject::Started, 0, 1)];
-        // Two frames of 10 ms, 15.000 and 15.040 ms apart, each 7 us too long at most.
+        // Two frames of 10 ms, 15.000 and 15.040 ms apart, each at most 7 µs too long.
         for (start, excess) in [(100_000, 3), (115_000, 7), (130_040, 5)] {
             trace.extend([
                 message(Subject::DmdTrigger, 1, start - 700),
@@ -270,7 +270,7 @@ mod tests {
                 message(Subject::CameraTrigger, 0, start + exposure),
             ]);
         };
-        // Paced by the readout, but for the fourth, whose pattern was late.
+        // Paced by the readout, except the fourth, whose pattern was late.
         frame(98_000, 100_000, 10_000);
         frame(110_500, 112_500, 10_000);
         frame(123_000, 125_002, 10_000);

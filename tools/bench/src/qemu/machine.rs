@@ -1,4 +1,4 @@
-//! QEMU as a child process, joined by sockets in a private folder.
+//! QEMU as a child process, connected by sockets in a private folder.
 
 use std::io::{self, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -9,15 +9,15 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Signal, set_parent_process_death_signal};
 
-/// The emulator's program.
+/// Program of the emulator.
 const PROGRAM: &str = "qemu-system-arm";
-/// Where `cargo xtask firmware` leaves the image, below the repository.
+/// Path of the image that `cargo xtask firmware` builds, relative to the repository.
 const IMAGE: &str =
     "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
 /// QEMU connects within milliseconds of its start.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Why there is no emulated controller.
+/// Why the emulated controller cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
     /// QEMU is not installed.
@@ -25,33 +25,33 @@ pub enum EmulatorError {
         "{PROGRAM} is missing; get it from your distribution, on Debian by: apt-get install qemu-system-arm"
     )]
     NoEmulator,
-    /// The image is not there.
+    /// The image does not exist.
     #[error(
         "the controller's image {} is missing; build it by: cargo xtask firmware (or name one in FLANKSCOPE_IMAGE)", path.display()
     )]
     NoImage {
-        /// Where it was looked for.
+        /// Path that was searched.
         path: PathBuf,
     },
-    /// QEMU ended instead of connecting.
+    /// QEMU ended before connecting.
     #[error("{PROGRAM} ended at once ({status}); it has said why above")]
     Ended {
-        /// How.
+        /// Its exit status.
         status: ExitStatus,
     },
     /// QEMU did not connect.
     #[error("{PROGRAM} did not connect its ports within {} s", CONNECT_TIMEOUT.as_secs())]
     Silent,
-    /// Sockets or threads.
+    /// Sockets or threads could not be created.
     #[error("cannot run {PROGRAM}")]
     Io(#[from] io::Error),
 }
 
-/// The image to run: FLANKSCOPE_IMAGE, else what `cargo xtask firmware` built in the repository that holds this program
-/// or the current folder, or that this program was built from.
+/// Path of the image: FLANKSCOPE_IMAGE, else what `cargo xtask firmware` built in the repository that contains this program or
+/// the current folder, or that this program was built from.
 ///
 /// # Errors
-/// There is none.
+/// No image was found.
 pub fn find_image() -> Result<PathBuf, EmulatorError> {
     if let Some(path) = std::env::var_os("FLANKSCOPE_IMAGE").map(PathBuf::from) {
         return if path.is_file() {
@@ -65,7 +65,7 @@ pub fn find_image() -> Result<PathBuf, EmulatorError> {
     program
         .ancestors()
         .chain(here.ancestors())
-        // Built elsewhere (CARGO_TARGET_DIR) and run anywhere: the repository that it was built from.
+        // The program may have been built elsewhere (CARGO_TARGET_DIR) and run anywhere, so its source repository is searched too.
         .chain(Path::new(env!("CARGO_MANIFEST_DIR")).ancestors())
         .map(|folder| folder.join(IMAGE))
         .find(|path| path.is_file())
@@ -141,7 +141,7 @@ impl Machine {
             ))
         })();
         match connected {
-            // Connected sockets need no name: the folder goes now, so that nothing can leave it behind.
+            // Connected sockets need no name, so the folder is removed now and cannot be left behind.
             Ok((link, pins, stage, monitor)) => {
                 (&monitor).write_all(b"{\"execute\":\"qmp_capabilities\"}\n")?;
                 drain(monitor.try_clone()?)?;
@@ -161,7 +161,7 @@ impl Machine {
         }
     }
 
-    /// Stops the processor and its clock, and lets them go on; for other threads.
+    /// Returns a function that stops and resumes the processor and its clock; for other threads.
     ///
     /// # Errors
     /// The system has no file descriptor left.
@@ -173,7 +173,7 @@ impl Machine {
             } else {
                 b"{\"execute\":\"cont\"}\n"
             };
-            // A machine that has ended needs no brake.
+            // A machine that has ended need not be stopped.
             let _ = (&monitor).write_all(order);
         })
     }
@@ -207,7 +207,7 @@ fn accept(listener: &UnixListener, child: &mut Child) -> Result<UnixStream, Emul
     }
 }
 
-/// Reads what the monitor says, which nobody needs, so that it never waits.
+/// Discards the monitor's output, so that the monitor never blocks.
 fn drain(monitor: UnixStream) -> io::Result<()> {
     std::thread::Builder::new()
         .name("qemu-monitor".into())

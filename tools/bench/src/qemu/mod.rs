@@ -1,13 +1,13 @@
-//! The controller as its Cortex-M4 image in QEMU, in place of the one that runs in the bench's own process.
+//! The controller as its Cortex-M4 image in QEMU, instead of the one in the bench's process.
 //!
 //! ```text
 //!  host ══ pseudo-terminal ══ Port ── socket ── UART0 ┐
 //!  device models ── lines ── pins ─── socket ── UART1 ├ image in qemu-system-arm, machine mps2-an386
 //!  stage model ── ESP301 text ─────── socket ── UART2 ┘
 //! ```
-//! Devices, camera and frames are those of the in-process bench. The image's processor lives in real time and so do
-//! the devices here; what a frame shows depends on neither, because an exposure lasts from edge to edge by the image's
-//! own clock, in whole lines of the sensor.
+//! Devices, camera and frames are those of the in-process bench. The image's processor and the devices here run in real time. The
+//! content of a frame depends on neither, because an exposure lasts from edge to edge by the image's own clock, in whole lines of
+//! the sensor.
 
 pub mod figures;
 mod machine;

@@ -1,4 +1,4 @@
-//! The emulated controller on its side of the wiring: three sockets to two UARTs and the lines.
+//! The emulated controller's connection to the wiring: three sockets for two UARTs and the pins.
 
 use std::cell::RefCell;
 use std::io::{self, Read as _, Write as _};
@@ -21,7 +21,7 @@ use flankscope_pin_wire::{PinDecoder, PinMessage, Subject, injection, input_byte
 /// Every message that came from the image, in order.
 type Trace = Rc<RefCell<Vec<PinMessage>>>;
 
-/// An emulated controller on its side of the wiring.
+/// An emulated controller, connected to the wiring.
 pub struct Emulated {
     trace: Trace,
     pins: Port,
@@ -34,14 +34,14 @@ impl Emulated {
         self.trace.borrow().clone()
     }
 
-    /// Orders the image to go wrong; only one that was built for it obeys.
+    /// Orders the image to fail; only an image built for this obeys.
     pub fn inject(&self, fault: FaultInjection) {
         self.pins
             .send(&input_bytes(Subject::InjectFault, fault.number()));
     }
 }
 
-/// How the image shall go wrong.
+/// Failures of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FaultInjection {
     /// This task is never polled again.
@@ -50,7 +50,7 @@ pub enum FaultInjection {
     Spin(Task),
     /// The program panics.
     Panic,
-    /// The processor meets an instruction that it does not have.
+    /// The processor executes an undefined instruction.
     Fault,
 }
 
@@ -65,7 +65,7 @@ impl FaultInjection {
     }
 }
 
-/// Puts an emulated controller on its side of the wiring. The machine must be kept as long as the simulation runs.
+/// Connects an emulated controller to the wiring. The machine must be kept as long as the simulation runs.
 ///
 /// # Errors
 /// The system has no thread or no file descriptor left.
@@ -110,7 +110,7 @@ pub fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Emulate
         async move {
             loop {
                 let taken = bus.select(selections.receive().await).await.is_ok();
-                // On real wires ready has fallen before the answer is on the bus; here one message follows the other.
+                // On real wires, ready falls before the answer is on the bus; here the two messages are sent in sequence.
                 pins.send(&input_bytes(Subject::DmdReady, u8::from(ready.level())));
                 pins.send(&input_bytes(Subject::PatternTaken, u8::from(taken)));
             }
@@ -145,7 +145,7 @@ pub fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Emulate
     })
 }
 
-/// Does what the image drives.
+/// Applies an output of the image.
 fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMessage) {
     let PinMessage {
         subject,
@@ -158,7 +158,7 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         Subject::LedEnable => {
             projector.led_enable.set_at(level, at_us);
             if !level {
-                // A view is over: a good time to ask how it went.
+                // A view is complete, so statistics are requested now.
                 pins.send(&input_bytes(Subject::StackUsed, 0));
                 pins.send(&input_bytes(Subject::AlarmLatency, 0));
             }
@@ -172,7 +172,7 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         Subject::NoGo => board.press.no_go.set_at(level, at_us),
         Subject::VerdictBeat => board.press.beat.set_at(level, at_us),
         Subject::Started => {
-            // It knows no level yet.
+            // The image knows no input level yet.
             for (subject, line) in inputs {
                 pins.send(&input_bytes(*subject, u8::from(line.level())));
             }
@@ -196,7 +196,7 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
     }
 }
 
-/// Tells the image every change of a line.
+/// Sends every change of a line to the image.
 async fn forward(subject: Subject, mut line: Line, pins: Port) {
     let mut told = false;
     loop {
@@ -210,21 +210,21 @@ async fn forward(subject: Subject, mut line: Line, pins: Port) {
     }
 }
 
-/// Joins a socket and a port, each way.
+/// Connects a socket and a port in both directions.
 fn bridge(sim: &Sim, name: &str, socket: &UnixStream, port: Port) -> io::Result<()> {
     let (mut from, mut to) = (socket.try_clone()?, socket.try_clone()?);
     let (arriving, remote): (_, Remote) = (port.clone(), sim.remote());
     std::thread::Builder::new()
         .name(format!("{name}-read"))
         .spawn(move || {
-            // The remote tells a stepped simulation that somebody outside may still speak.
+            // The remote tells a stepped simulation that external input may still arrive.
             let _remote = remote;
             let mut buffer = [0u8; 512];
             while let Ok(count @ 1..) = from.read(&mut buffer) {
                 arriving.send(&buffer[..count]);
             }
         })?;
-    // A thread does the writing: an emulator that does not read must not stop virtual time.
+    // Writing is done on a thread, because an emulator that does not read must not stop virtual time.
     let (outbox, queue) = mpsc::channel::<Vec<u8>>();
     std::thread::Builder::new()
         .name(format!("{name}-write"))

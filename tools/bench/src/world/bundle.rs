@@ -1,11 +1,11 @@
-//! A fibre bundle: a disturbed hexagonal lattice of cores, each with a gain of its own.
+//! A fibre bundle: a disturbed hexagonal lattice of cores, each with its own transmission.
 
 use super::WorldError;
 use super::random::{Normals, Purpose, stream};
 use std::collections::HashMap;
 use std::f64::consts::PI;
 
-/// How a bundle is made and imaged.
+/// Properties of a bundle and its image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BundleSpec {
     /// Number of cores.
@@ -14,15 +14,15 @@ pub struct BundleSpec {
     pub diameter_px: f64,
     /// Centre of the bundle's image, px.
     pub centre_px: [f64; 2],
-    /// Rotation of the lattice against the pixel rows, rad.
+    /// Rotation of the lattice relative to the pixel rows, rad.
     pub rotation_rad: f64,
     /// Standard deviation of a core's position in each direction, in core pitches.
     pub jitter_ratio: f64,
     /// Standard deviation of the core transmission.
     pub gain_spread_ratio: f64,
-    /// Share of cores that carry no light.
+    /// Fraction of cores without light.
     pub dead_ratio: f64,
-    /// Share of its light that a core loses to its six neighbours together.
+    /// Fraction of its light that a core loses to its six neighbours together.
     pub crosstalk_ratio: f64,
 }
 
@@ -64,7 +64,7 @@ pub struct Bundle {
     spec: BundleSpec,
     positions_px: Vec<[f64; 2]>,
     gains: Vec<f32>,
-    /// Lattice neighbours; the core itself stands for a neighbour that the rim cuts off.
+    /// Lattice neighbours; the core itself replaces a neighbour beyond the rim.
     neighbours: Vec<[u32; 6]>,
     grid: Grid,
 }
@@ -98,7 +98,7 @@ impl Bundle {
                     };
                     spec.centre_px[axis] + pitch * (turned + spec.jitter_ratio * random.next())
                 });
-                // No core amplifies or goes dark by spread alone: three standard deviations at most.
+                // Limited to three standard deviations, so that no core amplifies or becomes dark.
                 let gain = 1.0 + spec.gain_spread_ratio * random.next().clamp(-3.0, 3.0);
                 let dead = random.uniform() < spec.dead_ratio;
                 (at, if dead { 0.0 } else { gain.max(0.0) as f32 })
@@ -130,7 +130,7 @@ impl Bundle {
         })
     }
 
-    /// How it was made.
+    /// Its specification.
     pub fn spec(&self) -> &BundleSpec {
         &self.spec
     }
@@ -145,12 +145,12 @@ impl Bundle {
         &self.gains
     }
 
-    /// The six lattice neighbours of each core; the core itself where the rim cuts one off.
+    /// The six lattice neighbours of each core; the core itself replaces a neighbour beyond the rim.
     pub fn neighbours(&self) -> &[[u32; 6]] {
         &self.neighbours
     }
 
-    /// Light per core after each has exchanged its share with its six neighbours.
+    /// Light per core after the exchange of crosstalk with its six neighbours.
     pub fn with_crosstalk<const N: usize>(&self, light: &[[f32; N]]) -> Vec<[f32; N]> {
         let own = 1.0 - self.spec.crosstalk_ratio as f32;
         let from_each = self.spec.crosstalk_ratio as f32 / 6.0;
@@ -175,7 +175,7 @@ impl Bundle {
 
 /// Axial coordinates of the `count` lattice points nearest to the origin.
 fn lattice_disc(count: usize) -> Vec<[i32; 2]> {
-    // Radius of a disc with that many cells, with room for the ragged rim.
+    // Radius of a disc with that many cells, plus a margin for the ragged rim.
     let reach = ((count as f64 * 3f64.sqrt() / (2.0 * PI)).sqrt() + 2.0).ceil() as i32;
     let side = (f64::from(reach) * 2.0 / 3f64.sqrt()).ceil() as i32;
     let squared = |[i, j]: [i32; 2]| i * i + i * j + j * j;
@@ -202,12 +202,12 @@ struct Grid {
     origin_px: [f64; 2],
     cell_px: f64,
     size: [usize; 2],
-    /// First core of each cell, and the total as a last entry.
+    /// First core of each cell; the last entry is the total.
     starts: Vec<u32>,
 }
 
 impl Grid {
-    /// The grid, and the old index of the core in each new place.
+    /// The grid, and the old index of each core in the new order.
     fn sorted(positions: &[[f64; 2]], spec: &BundleSpec, cell_px: f64) -> (Self, Vec<u32>) {
         let half = 0.5 * spec.diameter_px + 4.0 * cell_px;
         let origin_px = spec.centre_px.map(|c| c - half);

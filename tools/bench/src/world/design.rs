@@ -1,4 +1,4 @@
-//! A head as it was made: what its maker states, and the optics that come of it.
+//! Design of a head: the maker's data, and the optics that follow.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -8,79 +8,79 @@ use super::optics::SecondProjector;
 use super::pattern::Fringes;
 use super::{BundleSpec, HeadOptics, Objective, Pinhole, SensorSpec, WorldConfig};
 
-/// The heads that come along: name and text of their `optics.toml`.
+/// Built-in heads: name and text of their `optics.toml`.
 pub const AT_HAND: [(&str, &str); 4] = [
     ("10mm", include_str!("../../heads/10mm.toml")),
     ("20mm", include_str!("../../heads/20mm.toml")),
     ("liquid", include_str!("../../heads/liquid.toml")),
     ("twin", include_str!("../../heads/twin.toml")),
 ];
-/// The one of them that stands before the demo die.
+/// Index of the one in front of the demo die.
 const DEMO: usize = 1;
 
-/// A head as it was made: camera and projector meet under an angle in best focus. Camera columns lie along the axis of the die,
-/// and the projector is turned about the camera's y axis through the focus.
+/// Design of a head: the axes of camera and projector intersect at an angle in best focus. Camera columns are parallel to the
+/// axis of the die, and the projector is rotated about the camera's y axis through the focus.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeadDesign {
     /// Free text.
     pub name: String,
-    /// From the front to best focus.
+    /// Distance from the front of the head to best focus.
     pub working_distance_mm: f64,
-    /// From the pinholes of camera and projector to best focus.
+    /// Distance from the pinholes of camera and projector to best focus.
     pub stand_off_mm: f64,
-    /// Best focus lies this far from the axis of the rotary stage, the head looks outwards.
+    /// Distance of best focus from the axis of the rotary stage; the head looks outwards.
     pub focus_radius_mm: f64,
-    /// Diameter of the field in best focus: as wide as either bundle's image.
+    /// Diameter of the field in best focus, equal to the image of either bundle.
     pub field_mm: f64,
-    /// Between camera and projector.
+    /// Angle between camera and projector.
     pub angle_deg: f64,
-    /// Between the camera and a second projector on its other side, if there is one; its parts are like the first one's.
+    /// Angle between the camera and a second projector on its other side, if there is one; its parts equal the first one's.
     pub second_angle_deg: Option<f64>,
-    /// Depths that the head measures, from the camera's pinhole.
+    /// Range of depths that the head measures, from the camera's pinhole.
     pub volume_mm: [f64; 2],
-    /// Modulation of a coarse pattern at the centre of the field: the rest is stray light.
+    /// Modulation of a coarse pattern at the centre of the field; the remainder is stray light.
     pub contrast_centre: f64,
-    /// The same at the edge of the field.
+    /// Modulation of a coarse pattern at the edge of the field.
     pub contrast_edge: f64,
-    /// Light that the DMD still sends when all mirrors are off, relative to all on.
+    /// Light of the DMD with all mirrors off, relative to all on.
     pub dmd_leak_ratio: f64,
-    /// What the DMD shows unless the head file says otherwise.
+    /// Pattern set of the DMD unless the head file names another.
     pub pattern_set: String,
-    /// Frequencies of that set, ascending, where it is the head's own.
+    /// Frequencies of that set, ascending, if it is specific to the head.
     #[serde(default)]
     pub fringes: Vec<Fringes>,
     /// Exposures for a sprayed die.
     pub exposures_us: Vec<u32>,
     /// Exposure for a white plate.
     pub white_exposure_us: u32,
-    /// Pixels along a measuring cell.
+    /// Pixels along the side of a measuring cell.
     pub binning: u32,
-    /// Between bundle and sensor, and the objective before the bundle.
+    /// Optics between bundle and sensor, and the objective in front of the bundle.
     pub camera: Side,
-    /// Between DMD and bundle, and the objective after it.
+    /// Optics between DMD and bundle, and the objective behind it.
     pub projector: Side,
-    /// A liquid lens before each objective, if it has them: all distances above are those without current.
+    /// A liquid lens in front of each objective, if present: all distances above are for the lens without current.
     pub lens: Option<LiquidLens>,
-    /// How the liquid lenses are driven, and how warm they are; absent: not at all, and as warm as the drawing says.
+    /// Setting and temperature of the liquid lenses; absent: without current, at the temperature of the drawing.
     pub driven: Option<Driven>,
-    /// Both bundles.
+    /// Properties of both bundles.
     pub bundle: Fibres,
     /// The camera's sensor and the lamp.
     pub sensor: SensorSpec,
 }
 
-/// A head whose liquid lenses a controller drives while it photographs.
+/// A head whose liquid lenses are driven by the controller during captures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrivenHead {
-    /// As it was made.
+    /// Its design.
     pub made: HeadDesign,
     /// As [`HeadOptics::make_uneven`].
     pub lens_error_um: f64,
 }
 
 impl DrivenHead {
-    /// Where light goes in it, at so many counts of the driver; without, as its file says.
+    /// Optics at the given counts of the driver; by default at the setting in its file.
     pub(super) fn optics(&self, counts: Option<u16>, head_seed: u64) -> HeadOptics {
         let mut optics = match counts {
             Some(counts) => self.made.commanded(counts).optics(),
@@ -93,15 +93,15 @@ impl DrivenHead {
     }
 }
 
-/// One of the two ways of light.
+/// One of the two light paths: camera or projector.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Side {
-    /// Columns and rows of sensor or DMD; the bundle's image lies in its middle.
+    /// Columns and rows of sensor or DMD; the bundle's image is centred.
     pub size_px: [usize; 2],
     /// Diameter of the bundle's image.
     pub circle_px: f64,
-    /// Rotation of the bundle's lattice against the rows.
+    /// Rotation of the bundle's lattice relative to the rows.
     pub bundle_turn_rad: f64,
     /// k1, k2, p1, p2, k3.
     pub distortion: [f64; 5],
@@ -115,19 +115,19 @@ pub struct Side {
     pub edge_loss_ratio: f64,
 }
 
-/// What both bundles are made of, as in [`BundleSpec`].
+/// Common properties of both bundles, as in [`BundleSpec`].
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fibres {
     /// Number of cores.
     pub cores: usize,
-    /// Standard deviation of a core's place, in pitches.
+    /// Standard deviation of a core's position, in pitches.
     pub jitter_ratio: f64,
     /// Standard deviation of the transmission.
     pub gain_spread_ratio: f64,
-    /// Share of cores without light.
+    /// Fraction of cores without light.
     pub dead_ratio: f64,
-    /// Share of its light that a core loses to its neighbours.
+    /// Fraction of its light that a core loses to its neighbours.
     pub crosstalk_ratio: f64,
 }
 
@@ -138,14 +138,14 @@ impl HeadDesign {
         toml::from_str(AT_HAND[DEMO].1).expect("a head that comes along")
     }
 
-    /// Focal power of its liquid lenses as they are driven, 1/mm; none without.
+    /// Focal power of its liquid lenses at their setting, 1/mm; 0 without lenses.
     fn power_per_mm(&self) -> f64 {
         self.lens
             .as_ref()
             .map_or(0.0, |lens| lens.power_per_mm(self.driven))
     }
 
-    /// The same head with its lenses driven by a controller, as warm as they are.
+    /// The same head with its lenses driven to these counts, at their present temperature.
     fn commanded(&self, counts: u16) -> Self {
         let setting_dpt = self.lens.as_ref().map(|lens| lens.asked_dpt(counts));
         Self {
@@ -163,7 +163,7 @@ impl HeadDesign {
         })
     }
 
-    /// From the pinholes without current to best focus as the lenses are driven.
+    /// Distance from the pinholes (without current) to best focus at the lenses' setting.
     #[must_use]
     pub fn best_focus_mm(&self) -> f64 {
         self.lens.as_ref().map_or(self.stand_off_mm, |lens| {
@@ -171,13 +171,13 @@ impl HeadDesign {
         })
     }
 
-    /// Best focus as the lenses are driven lies this far from the axis of the rotary stage.
+    /// Distance of best focus at the lenses' setting from the axis of the rotary stage.
     #[must_use]
     pub fn driven_radius_mm(&self) -> f64 {
         self.focus_radius_mm + self.best_focus_mm() - self.stand_off_mm
     }
 
-    /// Depths that the head measures as the lenses are driven, from where the camera's pinhole then appears to be.
+    /// Range of depths that the head measures at the lenses' setting, from the apparent pinhole of the camera.
     #[must_use]
     pub fn driven_volume_mm(&self) -> [f64; 2] {
         let moved_mm = self.best_focus_mm() - self.stand_off_mm;
@@ -186,17 +186,17 @@ impl HeadDesign {
             .map(|depth_mm| depth_mm + moved_mm - pinhole_mm)
     }
 
-    /// Where light goes in it.
+    /// Its optics.
     #[must_use]
     pub fn optics(&self) -> HeadOptics {
-        // Columns along +z of the stage, rows along -y, view along +x.
+        // Columns along +z of the stage, rows along -y, viewing direction along +x.
         let axes = Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
         let stage_from_camera = Isometry3::from_parts(
             Translation3::new(self.focus_radius_mm - self.stand_off_mm, 0.0, 0.0),
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
         );
         let focus = Vector3::new(0.0, 0.0, self.stand_off_mm);
-        // A positive turn about y moves the view towards +x, so the projector itself sits at negative x.
+        // A positive rotation about y turns the viewing direction towards +x, so the projector itself is at negative x.
         let projector_at = |angle_deg: f64| {
             let camera_from_projector =
                 Rotation3::from_axis_angle(&Vector3::y_axis(), angle_deg.to_radians());
@@ -208,7 +208,7 @@ impl HeadDesign {
         };
         let seen = self.refracted(|lens| lens.camera_decentre_mm);
         let shone = self.refracted(|lens| lens.projector_decentre_mm);
-        // Poses are of the pinholes where they appear from outside.
+        // Poses refer to the apparent pinholes, as seen from outside.
         let [camera_from_seen, projector_from_shone] =
             [&seen, &shone].map(|through| Translation3::from(Vector3::from(through.pinhole_mm)));
         let appearing_at = |angle_deg: f64| {
@@ -235,7 +235,7 @@ impl HeadDesign {
 
     fn pinhole(&self, side: &Side, through: &Refracted) -> Pinhole {
         let [k1, k2, p1, p2, k3] = side.distortion;
-        // What the objective bends is the slope behind the liquid lens, `stretch` times that before it.
+        // The objective's distortion applies to the slope behind the liquid lens, which is `stretch` times that in front of it.
         let stretch = through.stretch;
         let radial = stretch * stretch;
         let focal_px = stretch * side.circle_px * self.stand_off_mm / self.field_mm;
@@ -256,14 +256,14 @@ impl HeadDesign {
 
     fn objective(&self, side: &Side, through: &Refracted) -> Objective {
         let focus_mm = self.best_focus_mm() - through.pinhole_mm[2];
-        // As wide as the bundle's image, seen from where the pinhole appears.
+        // Ratio of the field's width to its design value, seen from the apparent pinhole.
         let wider = focus_mm / (self.stand_off_mm * through.stretch);
         Objective {
             focus_mm,
             field_curvature_per_mm: side.field_curvature_per_mm,
             field_radius_mm: 0.5 * self.field_mm * wider,
             focus_sigma_pitch: side.focus_sigma_pitch,
-            // Circle of confusion: the cone is as much narrower as focus is farther, and a core as much larger.
+            // Circle of confusion: the cone narrows in proportion to the focal distance, and the image of a core grows.
             defocus_sigma_pitch_per_mm: side.defocus_sigma_pitch_per_mm / (wider * wider),
             edge_loss_ratio: side.edge_loss_ratio,
         }
@@ -285,7 +285,7 @@ impl HeadDesign {
         }
     }
 
-    /// Puts the head into a world.
+    /// Sets a world to this head.
     pub fn impose(&self, config: &mut WorldConfig) {
         config.optics = self.optics();
         config.driven_head = self.lens.is_some().then(|| {

@@ -1,4 +1,4 @@
-//! The die as it is: the CAD surface with its wear and its form.
+//! The real die: the CAD surface with its wear and form error.
 
 use super::WorldError;
 use super::die_mesh::DieMesh;
@@ -10,14 +10,14 @@ use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
 use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A vertex of a foreign CAD kernel's flank lies within this of the involute, mm.
+/// Tolerance for the distance of flank vertices of another CAD kernel from the involute, mm.
 const ON_INVOLUTE_MM: f64 = 0.01;
-/// A surface farther than this from where the drawing has a flank is none, mm.
+/// Largest distance of a flank's surface from its position in the drawing, mm.
 const FLANK_REACH_MM: f64 = 1.0;
-/// Coordinates the ray caster is made for, mm.
+/// Range of coordinates that the ray caster supports, mm.
 const MAX_COORDINATE_MM: f64 = 1000.0;
 
-/// The die's real surface and what each triangle belongs to.
+/// The die's real surface, with the feature of each triangle.
 #[derive(Clone, Debug)]
 pub struct Die {
     mesh: Mesh,
@@ -26,12 +26,12 @@ pub struct Die {
     growth: f64,
 }
 
-/// Where the surface comes from.
+/// Source of the surface.
 #[derive(Clone, Debug)]
 enum Source {
     /// The CAD, with the flank of every triangle.
     Cad(Vec<Option<FlankId>>),
-    /// A mesh made by anyone, that may be closed.
+    /// Any mesh, open or closed.
     Mesh { closed: bool },
 }
 
@@ -69,7 +69,7 @@ impl Die {
         })
     }
 
-    /// A die that is `mesh`, with a form put on it. Its flanks are where `field`'s gear has them.
+    /// A die that consists of `mesh`, with a form error. Its flanks are at the positions of `field`'s gear.
     pub fn standing(mesh: &DieMesh, field: WearField, form: Form) -> Self {
         let closed = mesh.is_closed();
         let mut mesh = mesh.mesh().clone();
@@ -82,7 +82,7 @@ impl Die {
         }
     }
 
-    /// Warms the die: every point moves away from the axis and from z = 0 by this factor.
+    /// Thermal growth: every point moves away from the axis and from z = 0 by this factor.
     pub(crate) fn grow(&mut self, growth: f64) {
         for x in self.mesh.vertices.iter_mut().flatten() {
             *x *= growth;
@@ -95,8 +95,8 @@ impl Die {
         &self.mesh
     }
 
-    /// Flank that a triangle of [`Self::mesh`] belongs to; `None` on lands, roots, walls and ends, and for a mesh made by
-    /// anyone, whose triangles know no flanks.
+    /// Flank that a triangle of [`Self::mesh`] belongs to; `None` on lands, roots, walls and ends, and for a mesh from a file,
+    /// whose triangles are not assigned to flanks.
     pub fn flank(&self, triangle: usize) -> Option<FlankId> {
         match &self.source {
             Source::Cad(flanks) => flanks[triangle],
@@ -104,7 +104,7 @@ impl Die {
         }
     }
 
-    /// Flank that a point of the surface belongs to: its triangle's, or for a mesh made by anyone, the one it lies at.
+    /// Flank that a point of the surface belongs to: that of its triangle, or for a mesh from a file, the one at its position.
     pub(crate) fn flank_at(
         &self,
         triangle: usize,
@@ -129,23 +129,23 @@ impl Die {
         }
     }
 
-    /// Whether the sides of a triangle say nothing about inside and outside.
+    /// Whether the orientation of triangles does not define inside and outside.
     pub(crate) fn has_no_winding(&self) -> bool {
         matches!(self.source, Source::Mesh { .. })
     }
 
-    /// Whether an eye is inside the material of a die whose triangles' sides do not say so.
+    /// Whether a viewpoint is inside the material of a die whose triangles have no defined orientation.
     pub(crate) fn encloses_eye(&self, rays: &RayCaster, eye: Point3<f64>) -> bool {
         matches!(self.source, Source::Mesh { closed: true }) && rays.encloses(eye)
     }
 
     /// Wear depth (positive: loss) at a point of the real surface that lies on `id`, mm.
     pub fn wear_at_mm(&self, id: FlankId, point: [f64; 3]) -> f64 {
-        // The field is defined on the nominal flank: walk back along the normal until depth and foot agree.
+        // The wear field is defined on the nominal flank: iterate along the normal until depth and foot point agree.
         let gear = self.field.gear();
         let point = point.map(|x| x / self.growth);
         if self.has_no_winding() {
-            // The distance from the drawn flank itself.
+            // Distance from the nominal flank itself.
             return nearest_flank(gear, point).map_or(0.0, |(_, off_mm)| -off_mm);
         }
         let mut depth = 0.0;
@@ -204,7 +204,7 @@ pub(crate) fn nearest_flank(gear: &GearSpec, p: [f64; 3]) -> Option<(FlankId, f6
     } else {
         Flank::Right
     };
-    // Normals of an involute are tangents of the base circle: an angle times the base radius is a normal distance.
+    // Normals of an involute are tangents of the base circle: an angle times the base radius is a distance along the normal.
     let outside_rad = from_centre.abs() - gear.tooth_half_angle_rad(radius);
     Some((
         FlankId { tooth, flank },
@@ -212,7 +212,7 @@ pub(crate) fn nearest_flank(gear: &GearSpec, p: [f64; 3]) -> Option<(FlankId, f6
     ))
 }
 
-/// The flank that a facet of a drawing belongs to: its corners lie this close to the involute, and it faces as the flank does.
+/// The flank that a facet of a drawing belongs to: its corners are close to the involute, and its normal is that of the flank.
 pub(crate) fn flank_of_facet(
     gear: &GearSpec,
     corners: [[f64; 3]; 3],
@@ -250,7 +250,7 @@ fn meets(field: &WearField, zone: &FlankZone, corners: [[f64; 3]; 3]) -> bool {
     overlaps(profiles, zone.profile_mm) && overlaps(corners.map(|v| v[2]), zone.height_mm)
 }
 
-/// Whether a place this far from the axis belongs to the toothing, not to the body's wall or bore.
+/// Whether a point at this distance from the axis belongs to the toothing, rather than to the body's wall or bore.
 pub(crate) fn in_toothing(gear: &GearSpec, radius_mm: f64) -> bool {
     let between_mm = 0.5 * (gear.root_radius_mm + gear.body_radius_mm);
     match gear.kind {
@@ -259,7 +259,7 @@ pub(crate) fn in_toothing(gear: &GearSpec, radius_mm: f64) -> bool {
     }
 }
 
-/// Moves every vertex of a worn flank along its normal by the depth there, and the toothing inwards by what all of it lost.
+/// Moves every vertex of a worn flank along its normal by the local depth, and the toothing inwards by its uniform loss.
 fn displace(mesh: &mut Mesh, flanks: &[Option<FlankId>], field: &WearField) {
     let ring_mm = field.ring_mm();
     let worn: BTreeSet<FlankId> = field.worn_flanks().into_iter().collect();
@@ -278,7 +278,7 @@ fn displace(mesh: &mut Mesh, flanks: &[Option<FlankId>], field: &WearField) {
         for vertex in of_flank {
             let p = mesh.vertices[vertex as usize];
             let radius = p[0].hypot(p[1]);
-            // What all of the toothing lost has moved the flank already.
+            // The uniform loss of the toothing has moved the flank already.
             let depth = field.depth_mm(id, radius, p[2]) - ring_mm;
             let normal = Vector2::from(field.gear().flank_normal(id.tooth, id.flank, radius));
             *moves.entry(vertex).or_default() -= depth * normal;
@@ -291,11 +291,11 @@ fn displace(mesh: &mut Mesh, flanks: &[Option<FlankId>], field: &WearField) {
     }
 }
 
-/// How the vertices of the toothing move when all its faces move into the material by `depth_mm`.
+/// Motion of the toothing's vertices if all its faces move into the material by `depth_mm`.
 ///
-/// A vertex comes to lie on all its faces: where flank and land meet, the edge moves along the bisector and farther than either.
+/// A vertex stays on all its faces: where flank and land meet, the edge moves along the bisector, farther than either face.
 fn toothing_inwards(mesh: &Mesh, gear: &GearSpec, depth_mm: f64) -> BTreeMap<u32, Vector2<f64>> {
-    /// Faces that differ in direction by less than about a thousandth count as one: across them, nothing is known.
+    /// Faces whose directions differ by less than about a thousandth count as one, because the motion across them is undetermined.
     const LEAST_RATIO: f64 = 1e-6;
     let mut faces: BTreeMap<u32, (Matrix2<f64>, Vector2<f64>)> = BTreeMap::new();
     for t in &mesh.triangles {
@@ -304,7 +304,7 @@ fn toothing_inwards(mesh: &Mesh, gear: &GearSpec, depth_mm: f64) -> BTreeMap<u32
         let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
             continue;
         };
-        // End faces stay, and so does the body.
+        // End faces and the body do not move.
         if normal.z.abs() > 0.5 || [a, b, c].iter().any(outside) {
             continue;
         }

@@ -1,4 +1,4 @@
-//! A die given as a mesh of its own, made by anyone.
+//! A die given as a mesh of its own, from any source.
 
 use super::WorldError;
 use super::die::check_mesh;
@@ -6,12 +6,12 @@ use flankscope_gear_cad::Mesh;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// Most triangles that a die may have.
+/// Largest number of triangles of a die.
 pub const MAX_DIE_TRIANGLES: usize = 5_000_000;
-/// Least height of a triangle over its longest side, mm: below it the surface has no direction there, and no ray finds it.
+/// Smallest height of a triangle over its longest side, mm: below it, its normal is undefined, and no ray hits it.
 const LEAST_HEIGHT_MM: f64 = 1e-9;
 
-/// A mesh that stands in place of the worn CAD: any triangulation, open or closed, wound either way.
+/// A mesh used instead of the worn CAD: any triangulation, open or closed, in either orientation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DieMesh {
     mesh: Mesh,
@@ -20,10 +20,10 @@ pub struct DieMesh {
 }
 
 impl DieMesh {
-    /// Checks a mesh in millimetres in the tool frame, and leaves its degenerate triangles out.
+    /// Checks a mesh in millimetres in the tool frame, and removes its degenerate triangles.
     ///
     /// # Errors
-    /// No triangle with area or too many of them, a vertex that is not finite or far away, an index out of range.
+    /// No triangle has area, there are too many triangles, a vertex is not finite or too far away, or an index is out of range.
     pub fn new(mut mesh: Mesh) -> Result<Self, WorldError> {
         let triangles = mesh.triangles.len();
         if triangles > MAX_DIE_TRIANGLES {
@@ -53,12 +53,12 @@ impl DieMesh {
         &self.mesh
     }
 
-    /// Whether it has an inside: every edge belongs to an even number of triangles.
+    /// Whether it has a defined inside: every edge belongs to an even number of triangles.
     pub fn is_closed(&self) -> bool {
         self.closed
     }
 
-    /// Triangles without area that were left out.
+    /// Number of removed triangles without area.
     pub fn degenerate(&self) -> usize {
         self.degenerate
     }

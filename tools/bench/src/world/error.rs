@@ -1,10 +1,10 @@
-//! Why there is no such world, view or frame.
+//! Errors of a world, a view or a frame.
 
 use flankscope_gear_cad::Flank;
 
 use super::WearError;
 
-/// Why there is no such world, view or frame.
+/// Why a world, view or frame cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WorldError {
@@ -33,7 +33,7 @@ pub enum WorldError {
     /// The CAD mesh has no triangle.
     #[error("the CAD mesh has no triangle; a closed surface is needed")]
     EmptyMesh,
-    /// A vertex is not a place near the machine.
+    /// A vertex coordinate is not finite, or too far away.
     #[error(
         "vertex {vertex} has the coordinate {got_mm} mm; finite values within ±{limit_mm} mm are needed"
     )]
@@ -45,10 +45,10 @@ pub enum WorldError {
         /// Largest magnitude, mm.
         limit_mm: f64,
     },
-    /// More triangles than a die may have.
+    /// The mesh has too many triangles.
     #[error("the mesh of the die has {got} triangles; at most {max} are possible")]
     Triangles {
-        /// Triangles there are.
+        /// Number of triangles.
         got: usize,
         /// Most.
         max: usize,
@@ -58,28 +58,28 @@ pub enum WorldError {
         "all {triangles} triangles of the die's mesh are degenerate; at least one with area is needed"
     )]
     NoArea {
-        /// Triangles there are.
+        /// Number of triangles.
         triangles: usize,
     },
-    /// Damage for a die that is given as a mesh.
+    /// Damage is specified for a die that is given as a mesh.
     #[error(
         "{got} damages are given beside the mesh of a die; a mesh is the die as it is: cut the damage into it, or leave one out"
     )]
     WearOnMesh {
-        /// Damages asked for.
+        /// Number of damages.
         got: usize,
     },
-    /// A triangle names a vertex that does not exist.
+    /// A triangle refers to a vertex that does not exist.
     #[error("triangle {triangle} names vertex {got}, but there are only {vertices}")]
     Index {
         /// Index of the triangle.
         triangle: usize,
-        /// The vertex it names.
+        /// Index of the vertex.
         got: u32,
-        /// Vertices there are.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// The mesh has no triangle where the gear data put a flank.
+    /// The mesh has no triangle at the flank position of the gear data.
     #[error(
         "no triangle lies within {limit_mm} mm of the {flank:?} flank of tooth {tooth}: CAD and gear data do not belong together"
     )]
@@ -91,21 +91,21 @@ pub enum WorldError {
         /// Largest distance, mm.
         limit_mm: f64,
     },
-    /// Damage that this die cannot have.
+    /// The damage is not possible for this die.
     #[error(transparent)]
     Wear(#[from] WearError),
-    /// More frequencies than one set may have.
+    /// A set has too many frequencies.
     #[error("a pattern set of {got} different frequencies; at most {max} are possible")]
     Frequencies {
-        /// Frequencies asked for.
+        /// Number of frequencies.
         got: usize,
         /// Most.
         max: usize,
     },
-    /// The view has no such pattern.
+    /// The view does not have this pattern.
     #[error("pattern {got} was asked for; this view has 0 (black) to {last}")]
     Pattern {
-        /// Index asked for.
+        /// Requested index.
         got: u16,
         /// Largest index.
         last: usize,
@@ -121,7 +121,7 @@ pub enum WorldError {
 }
 
 impl WorldError {
-    /// Refuses NaN and whatever lies outside the range.
+    /// Refuses values outside the range, and NaN.
     pub(crate) fn check(name: &'static str, got: f64, min: f64, max: f64) -> Result<(), Self> {
         if got >= min && got <= max {
             Ok(())

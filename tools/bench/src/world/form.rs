@@ -1,5 +1,4 @@
-//! Form deviation of a die: what heat treatment and years in a press do to its bore as a whole, and what every flank has of
-//! its own since it was made.
+//! Form error of a die: errors of the whole bore from heat treatment and use, and individual manufacturing errors of the flanks.
 
 use super::WorldError;
 use super::die::in_toothing;
@@ -8,10 +7,10 @@ use flankscope_gear_cad::{GearSpec, Mesh};
 
 /// Largest form deviation that the model describes, µm.
 const MAX_FORM_UM: f64 = 200.0;
-/// Largest standard deviation of the flanks' own deviations, µm.
+/// Largest standard deviation of the flanks' individual errors, µm.
 const MAX_FLANKS_UM: f64 = 20.0;
 
-/// A bore that is neither round nor straight, with flanks that stand off.
+/// Form error of a bore and its flanks.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Form {
     /// Largest minus smallest radius around the bore, µm: the radius grows by half of it towards ±x and shrinks by half
@@ -25,14 +24,14 @@ pub struct Form {
     pub barrel_um: f64,
     /// Growth of the radius at the upper end, µm, as a parabola over the last quarter of the height.
     pub bell_mouth_um: f64,
-    /// Standard deviation of what each flank stands off by, along the pitch circle, µm: positive makes its tooth thicker.
+    /// Standard deviation of the flanks' individual errors along the pitch circle, µm: positive makes the tooth thicker.
     pub flanks_um: f64,
-    /// Draws that: one seed is one die.
+    /// Seed of these errors: one seed is one die.
     pub flanks_seed: u64,
 }
 
 impl Form {
-    /// Radial displacement of the surface at an angle and a share of the height (0 bottom, 1 top), mm.
+    /// Radial displacement of the surface at an angle and a fraction of the height (0 bottom, 1 top), mm.
     pub fn radial_mm(&self, angle_rad: f64, height_share: f64) -> f64 {
         let from_middle = 2.0 * height_share - 1.0;
         let in_mouth = (4.0 * height_share - 3.0).max(0.0);
@@ -43,7 +42,7 @@ impl Form {
             + self.bell_mouth_um * in_mouth * in_mouth)
     }
 
-    /// What the right and the left flank of every tooth stand off by, mm.
+    /// Individual errors of the right and the left flank of every tooth, mm.
     fn flanks_mm(&self, teeth: u32) -> Vec<[f64; 2]> {
         let mut random = Normals::new(stream(self.flanks_seed, Purpose::Flanks));
         let mut flank = || 1e-3 * self.flanks_um * random.next().clamp(-3.0, 3.0);
@@ -63,7 +62,7 @@ impl Form {
             if in_toothing(gear, radius) && radius > 0.0 {
                 let angle = p[1].atan2(p[0]);
                 let by = self.radial_mm(angle, (p[2] - bottom) / (top - bottom));
-                // Halves of teeth from +x on, where a space has its middle: right, left, right ...
+                // Half teeth from +x on, where the middle of a space is: right, left, right ...
                 let half = (2.0 * angle / gear.pitch_angle_rad())
                     .floor()
                     .rem_euclid(2.0 * f64::from(gear.teeth)) as usize;
@@ -130,7 +129,7 @@ mod tests {
             ..Form::default()
         };
         let um = |degrees: f64, share: f64| 1e3 * form.radial_mm(degrees.to_radians(), share);
-        // Three lobes: as much at every third of a turn, and as little between.
+        // Three lobes: the maximum at every third of a revolution, the minimum between.
         for (at, lobe) in [
             (0.0, 6.0),
             (120.0, 6.0),
@@ -141,7 +140,7 @@ mod tests {
         ] {
             assert!((um(at, 0.0) - lobe).abs() < 1e-9, "{at}");
         }
-        // On a node of the lobes: the barrel alone up to three quarters, the mouth above.
+        // On a node of the lobes: only the barrel up to three quarters of the height, plus the bell mouth above.
         for (share, expected) in [
             (0.0, 0.0),
             (0.5, 7.0),
@@ -189,7 +188,7 @@ mod tests {
         for (of_flank, mean) in along_um.values().zip(&means) {
             assert!(of_flank.iter().all(|um| (um - mean).abs() < 1e-6));
         }
-        // 168 draws: their standard deviation to 5.5 %, at four of its own standard deviations.
+        // 168 values: their standard deviation is known to 5.5 %; the tolerance is four times that.
         let std = (means.iter().map(|um| um * um).sum::<f64>() / means.len() as f64).sqrt();
         assert!((std / 4.0 - 1.0).abs() < 0.22, "{std}");
     }

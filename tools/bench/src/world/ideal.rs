@@ -1,5 +1,5 @@
-//! What a head of two pinholes would see of a die: no fibres, no blur, no loss towards the edge. For comparison with other
-//! renderers, which know no fibre bundle.
+//! Image of a die by an ideal head of two pinholes: no fibres, no blur, no loss towards the edge. For comparison with other
+//! renderers, which do not model a fibre bundle.
 
 use super::lamp::PinholeLamp;
 use super::optics::Pinhole;
@@ -14,18 +14,18 @@ use nalgebra::{Isometry3, Point3};
 use rand::RngExt;
 use rayon::prelude::*;
 
-/// A die before two pinholes.
+/// A die in front of two pinholes.
 #[derive(Clone, Debug)]
 pub struct IdealView<'a> {
     /// The surface in the tool frame, mm, facing outwards.
     pub mesh: &'a Mesh,
     /// Its reflectance.
     pub surface: Surface,
-    /// Most places that light may touch; 1 is direct light alone.
+    /// Largest number of reflections; 1 is direct light alone.
     pub bounces: u32,
     /// The camera.
     pub camera: Pinhole,
-    /// The projector; it lights a plane across its axis evenly.
+    /// The projector; it lights a plane perpendicular to its axis uniformly.
     pub projector: Pinhole,
     /// Columns and rows of its DMD.
     pub projector_size_px: [usize; 2],
@@ -35,30 +35,30 @@ pub struct IdealView<'a> {
     pub tool_from_camera: Isometry3<f64>,
     /// Periods of the fringes over the width of the DMD, four at most.
     pub frequencies: Vec<f64>,
-    /// Draws the ways of light.
+    /// Seed of the random light paths.
     pub seed: u64,
 }
 
-/// Light of one pixel, relative to what a white plane across the projector's axis at `1 mm` would send: of the evenly lit
-/// pattern, then cosine and sine part of each frequency.
+/// Light of one pixel, relative to that of a white plane perpendicular to the projector's axis at 1 mm: for the uniform pattern,
+/// then cosine and sine component of each frequency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelLight {
     /// Point in the middle of the pixel, tool frame, mm.
     pub point_mm: [f64; 3],
     /// Normal there.
     pub normal: [f64; 3],
-    /// Light straight from the projector.
+    /// Light directly from the projector.
     pub direct: Lanes,
-    /// Light over other places of the die.
+    /// Light reflected by other parts of the die.
     pub indirect: Lanes,
 }
 
 impl IdealView<'_> {
-    /// Light of each of `pixels` (column, row), the mean of `paths` ways through places spread over the pixel; none where its
-    /// middle sees no die.
+    /// Light of each of `pixels` (column, row), the mean of `paths` light paths through points spread over the pixel; `None` if
+    /// its centre does not see the die.
     ///
     /// # Errors
-    /// A mesh that is none, a surface that cannot be, more than four frequencies.
+    /// The mesh or surface is invalid, or there are more than four frequencies.
     pub fn look(
         &self,
         pixels: &[[u32; 2]],
@@ -121,7 +121,7 @@ impl IdealView<'_> {
                 continue;
             };
             let first = std::array::from_fn(|_| random.random());
-            // Means over many pixels are asked for: no way stands for more than itself.
+            // Means over many pixels are computed, so no path is widened to a patch.
             transport.follow(lamp, spot, first, f64::INFINITY, &mut random, &mut indirect);
             for (all, lane) in direct
                 .iter_mut()

@@ -1,9 +1,9 @@
-//! Light over other places of the die at every core of a view.
+//! Light reflected by other parts of the die, at every core of a view.
 //!
-//! Over a smooth face it changes slowly, the more slowly the farther off the faces are that send it. So many ways are followed
-//! from few places, closer together where other faces are close, and the cores between take their mean (irradiance caching:
-//! Ward, Rubinstein and Clear 1988). Few ways from every core would have to be shared out among neighbours to be of use, and
-//! the fringes that single ways bring would stay as patches, where in truth they wash out.
+//! On a smooth face this light changes slowly, the more slowly the farther its source faces are. So many paths are followed from
+//! a few places, which are denser where other faces are close, and the cores between take their mean (irradiance caching: Ward,
+//! Rubinstein and Clear 1988). A few paths from every core would have to be averaged over neighbours to be useful, and the
+//! fringes of single paths would remain as patches although in reality they wash out.
 
 use super::lamp::Lamp;
 use super::microfacet;
@@ -13,21 +13,21 @@ use super::transport::{START_MM, Spot, Transport, spread};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Ways followed from each place.
+/// Number of light paths from each place.
 const WAYS: u32 = 256;
-/// Ways that tell how far other faces are.
+/// Number of paths that estimate the distance of other faces.
 const FEELERS: usize = 16;
-/// Places lie apart by the square of the (harmonic mean) distance to what they see of the die over this, mm. Not by a share of
-/// that distance: fringes of a close face are still fringes on this one, and wash out the farther it is off ...
+/// Spacing of places: square of the (harmonic mean) distance to the visible parts of the die, divided by this, mm. Not
+/// proportional to the distance, because fringes of a close face are still fringes on this one, and wash out with distance ...
 const OPEN_MM: f64 = 20.0;
-/// ... within these limits, mm. A core sees 0.03 mm.
+/// ... within these limits, mm. A core covers 0.03 mm.
 const SPACING_MM: [f64; 2] = [0.03, 0.2];
-/// A core takes from places up to so many spacings away.
+/// A core uses places up to this many spacings away.
 const REACH_SPACINGS: f64 = 2.0;
-/// Faces are one when the cosine between their normals is above this.
+/// Smallest cosine between the normals of two points of the same face.
 const SAME_FACE_COS: f64 = 0.99;
 
-/// Light over at least one other place that each spot sends to its eye; none where there is no spot.
+/// Light reflected at least once more on its way to each spot's eye; `None` without a spot.
 pub(crate) fn light(
     transport: &Transport<'_>,
     lamp: &impl Lamp,
@@ -56,7 +56,7 @@ pub(crate) fn light(
         .collect()
 }
 
-/// How far from a spot the light over other places may be taken for the same, mm.
+/// Distance from a spot within which the reflected light is nearly constant, mm.
 fn spacing_mm(transport: &Transport<'_>, spot: &Spot) -> f64 {
     let nearness = |way| {
         let towards = microfacet::by_cosine(&spot.normal, way);
@@ -70,12 +70,12 @@ fn spacing_mm(transport: &Transport<'_>, spot: &Spot) -> f64 {
     ((1.0 / mean).powi(2) / OPEN_MM).clamp(least, most)
 }
 
-/// Spots that many ways are followed from.
+/// Spots that many light paths are followed from.
 struct Places {
     chosen: Vec<Place>,
     /// Spacing about every spot, mm.
     spacings_mm: Vec<f64>,
-    /// Indices into `chosen` by box of space.
+    /// Indices into `chosen` by cell of space.
     boxes: HashMap<[i32; 3], Vec<u32>>,
 }
 
@@ -86,7 +86,7 @@ struct Place {
 }
 
 impl Places {
-    /// Spots so that every other one has a place of its own face within its spacing and that of the place.
+    /// Chooses spots such that every other one has a place on its own face within its spacing and that of the place.
     fn chosen(spots: &[Option<Spot>], spacings_mm: Vec<f64>) -> Self {
         let mut places = Self {
             chosen: Vec::new(),
@@ -111,7 +111,7 @@ impl Places {
         places
     }
 
-    /// Places in reach of a spot, and how far they are in spacings.
+    /// Places within reach of a spot, and their distances in spacings.
     fn near(&self, core: usize, spot: &Spot) -> impl Iterator<Item = (usize, f64)> {
         let [x, y, z] = box_of(spot);
         let boxes = (0..27).map(move |i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1]);
@@ -129,7 +129,7 @@ impl Places {
             })
     }
 
-    /// Mean of the light of the places in reach, the nearer the heavier.
+    /// Mean of the light of the places within reach, with larger weights for nearer ones.
     fn mean(&self, core: usize, spot: &Spot, fans: &[Lanes]) -> Lanes {
         let mut sum = [0f32; LANES];
         let mut weights = 0f32;
@@ -144,7 +144,7 @@ impl Places {
     }
 }
 
-/// A box wide enough that everything in reach lies in it or beside it.
+/// The cell of a spot; everything within reach lies in this cell or its neighbours.
 fn box_of(spot: &Spot) -> [i32; 3] {
     let width_mm = REACH_SPACINGS * SPACING_MM[1];
     [0, 1, 2].map(|axis| (spot.point[axis] / width_mm).floor() as i32)

@@ -1,4 +1,4 @@
-//! How much of the projector's light arrives at a place.
+//! Light of the projector that arrives at a point.
 
 use super::bundle::Bundle;
 use super::dmd::DmdPass;
@@ -8,30 +8,30 @@ use super::scene::{CORE_APERTURE_PITCH, LANES, Lanes};
 use nalgebra::{Isometry3, Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Something that throws fringes from one point.
+/// A light source that projects fringes from one point.
 pub(crate) trait Lamp: Sync {
-    /// Where it stands in the tool frame.
+    /// Position in the tool frame.
     fn position(&self) -> Point3<f64>;
 
-    /// Light on a plane that faces the lamp, the mean about a place, nothing in between; none beyond its field.
+    /// Light on a plane perpendicular to the ray, averaged over a patch, without obstacles; `None` beyond the field.
     fn arriving(&self, about: &Patch) -> Option<Lanes>;
 }
 
-/// A piece of a face, in the tool frame: as much of it as one way of light stands for.
+/// A part of a face in the tool frame, as large as the area that one light path represents.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Patch {
-    /// Its middle.
+    /// Its centre.
     pub point: Point3<f64>,
     /// Unit normal out of the material.
     pub normal: Vector3<f64>,
-    /// How wide it is: standard deviation of a Gaussian over the face, mm.
+    /// Its size: standard deviation of a Gaussian over the face, mm.
     pub sigma_mm: f64,
 }
 
 impl Patch {
-    /// Standard deviation of the DMD's columns over it, px.
+    /// Standard deviation of the DMD columns over the patch, px.
     fn sigma_columns_px(&self, projector: &Pinhole, projector_from_tool: &Isometry3<f64>) -> f64 {
-        /// Short beside any change of the lens's distortion, long beside rounding.
+        /// Small relative to changes of the lens distortion, large relative to rounding errors.
         const STEP_MM: f64 = 1e-3;
         if self.sigma_mm == 0.0 {
             return 0.0;
@@ -53,7 +53,7 @@ impl Patch {
     }
 }
 
-/// Lanes of fringes at a column of the DMD: their mean, and their contrast after a blur of `sigma_px`.
+/// Lanes of the fringes at a DMD column: their mean, and their contrast after a blur of `sigma_px`.
 fn fringes(frequencies: &[f64], columns: f64, column: f64, mean: f64, sigma_px: f64) -> Lanes {
     let mut lanes = [0f32; LANES];
     lanes[0] = mean as f32;
@@ -67,7 +67,7 @@ fn fringes(frequencies: &[f64], columns: f64, column: f64, mean: f64, sigma_px: 
     lanes
 }
 
-/// The head's projector, its cores taken together: for light that comes over another place, where no core shows any more.
+/// The head's projector without individual cores: for light reflected by another part of the die, in which cores are no longer visible.
 pub(crate) struct HeadLamp<'a> {
     optics: &'a HeadOptics,
     bundle: &'a Bundle,
@@ -130,7 +130,7 @@ fn projector_brightness(optics: &HeadOptics, p_projector: Point3<f64>) -> f64 {
     nearer * objective.brightness(p_projector)
 }
 
-/// Whether a core of the projector's bundle sits at this place of the DMD.
+/// Whether a core of the projector's bundle is at this position of the DMD.
 pub(crate) fn projector_reaches(optics: &HeadOptics, bundle: &Bundle, [x, y]: [f64; 2]) -> bool {
     let bundle = bundle.spec();
     let from_centre = (x - bundle.centre_px[0]).hypot(y - bundle.centre_px[1]);
@@ -142,7 +142,7 @@ fn on_dmd(size_px: [usize; 2], [x, y]: [f64; 2]) -> bool {
     x >= -0.5 && x < columns - 0.5 && y >= -0.5 && y < rows - 0.5
 }
 
-/// A pinhole without fibres or blur that lights a plane across its axis evenly.
+/// A pinhole without fibres or blur that lights a plane perpendicular to its axis uniformly.
 pub(crate) struct PinholeLamp<'a> {
     pub projector: &'a Pinhole,
     pub size_px: [usize; 2],
@@ -163,7 +163,7 @@ impl Lamp for PinholeLamp<'_> {
         if !on_dmd(self.size_px, px) {
             return None;
         }
-        // On a plane at z the light is 1/z² and falls there under the cosine z / r; here the plane faces the lamp.
+        // On a plane at z the irradiance is 1/z², with the cosine z / r; here the plane is perpendicular to the ray.
         let cos = p.z / p.coords.norm();
         let mean = (self.plane_mm / p.z).powi(2) / cos;
         let columns = self.size_px[0] as f64;

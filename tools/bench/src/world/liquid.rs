@@ -1,9 +1,10 @@
-//! A liquid lens before an objective: its focal power follows a driver, and moves focus, field and pinhole.
+//! A liquid lens in front of an objective: a driver sets its focal power, which shifts focus, field and pinhole.
 //!
-//! A thin lens of power `P` stands `d` before the stop of the objective, its axis `c` beside the objective's. A chief ray that the
-//! objective sees under the slope `t` crosses it at `d t` and has, before it, the slope `t' = t (1 - d P) + P c`. From outside it
-//! comes from a pinhole at `-d P / (1 - d P)` times `(c, d)`, and the objective sees `t = (t' - P c) / (1 - d P)`: another focal
-//! length, another principal point. Sharp is what the lens images to where the objective alone is sharp.
+//! A thin lens of power `P` is at distance `d` in front of the objective's stop, its axis decentred by `c` from the objective's.
+//! A chief ray with slope `t` at the objective crosses the lens at `d t`; in front of the lens it has the slope
+//! `t' = t (1 - d P) + P c`. Seen from outside, it comes from a pinhole at `-d P / (1 - d P)` times `(c, d)`, and the objective sees
+//! `t = (t' - P c) / (1 - d P)`: another focal length and another principal point. Best focus is where the lens forms an image in the
+//! best focus of the objective alone.
 
 use serde::Deserialize;
 
@@ -11,49 +12,49 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LiquidLens {
-    /// What the driver can ask for, dpt: least and most.
+    /// Range of the driver, dpt: smallest and largest.
     pub range_dpt: [f64; 2],
-    /// Counts of the driver that give no power.
+    /// Counts of the driver at zero power.
     pub zero_counts: f64,
-    /// Power of one more.
+    /// Power per count, dpt.
     pub dpt_per_count: f64,
-    /// From the voltage to rest.
+    /// Settling time after a change of the voltage.
     pub settle_ms: u32,
-    /// From the lens to the stop of the objective behind it.
+    /// Distance of the lens from the stop of the objective behind it.
     pub apart_mm: f64,
-    /// The camera's lens lies this far beside its objective's axis: along columns and rows.
+    /// Decentre of the camera's lens relative to its objective's axis: along columns and rows.
     pub camera_decentre_mm: [f64; 2],
-    /// The same of the projector's.
+    /// Decentre of the projector's lens relative to its objective's axis: along columns and rows.
     pub projector_decentre_mm: [f64; 2],
-    /// Power gained per kelvin.
+    /// Change of power per kelvin.
     pub drift_dpt_per_kelvin: f64,
-    /// Temperature at which the driver's figure is the power.
+    /// Temperature at which the power equals the driver's setting.
     pub neutral_celsius: f64,
 }
 
-/// How a lens is driven.
+/// Setting and temperature of a lens.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Driven {
-    /// What the driver is told.
+    /// Power by the driver's setting.
     pub setting_dpt: f64,
-    /// How warm the lens is; absent: as the drawing says.
+    /// Temperature of the lens; absent: that of the drawing.
     pub celsius: Option<f64>,
 }
 
-/// What an objective behind the lens sees.
+/// Effect of the lens for the objective behind it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refracted {
-    /// Slope behind the lens by slope before it.
+    /// Ratio of the slope behind the lens to that in front of it.
     pub stretch: f64,
-    /// Slope before the lens of what runs along the objective's axis behind it.
+    /// Slope in front of the lens of a ray that runs along the objective's axis behind it.
     pub bent_rad: [f64; 2],
-    /// Where the pinhole appears from outside, in the frame of the objective's.
+    /// Position of the apparent pinhole, in the frame of the objective's.
     pub pinhole_mm: [f64; 3],
 }
 
 impl Default for Refracted {
-    /// No lens.
+    /// Without a lens.
     fn default() -> Self {
         Self {
             stretch: 1.0,
@@ -64,7 +65,7 @@ impl Default for Refracted {
 }
 
 impl LiquidLens {
-    /// What so many counts of the driver ask for; within the range, beyond which the lens does not follow.
+    /// Power at these counts of the driver, limited to the range of the lens.
     #[must_use]
     pub fn asked_dpt(&self, counts: u16) -> f64 {
         let [least, most] = self.range_dpt;
@@ -79,12 +80,12 @@ impl LiquidLens {
         1e-3 * (setting_dpt + self.drift_dpt_per_kelvin * warmer)
     }
 
-    /// Distance from the objective's pinhole of what is sharp; `stand_off_mm` without power.
+    /// Distance of best focus from the objective's pinhole; `stand_off_mm` without power.
     pub(super) fn best_focus_mm(&self, stand_off_mm: f64, power_per_mm: f64) -> f64 {
         self.apart_mm + 1.0 / (1.0 / (stand_off_mm - self.apart_mm) + power_per_mm)
     }
 
-    /// What the objective sees through it.
+    /// Its effect for the objective behind it.
     pub(super) fn refracted(&self, power_per_mm: f64, decentre_mm: [f64; 2]) -> Refracted {
         let stretch = 1.0 / (1.0 - self.apart_mm * power_per_mm);
         let back = -self.apart_mm * power_per_mm * stretch;
@@ -113,7 +114,7 @@ mod tests {
         neutral_celsius: 20.0,
     };
 
-    /// Height at `z_mm` of the ray that the stop sees under a slope, after a thin lens: traced, not solved.
+    /// Height at `z_mm` of the ray that passes the stop with a slope, after a thin lens: by ray tracing, independent of the formulas above.
     fn traced(slope: f64, start_mm: f64, power_per_mm: f64, beside_mm: f64, z_mm: f64) -> f64 {
         let at_lens_mm = start_mm + LENS.apart_mm * slope;
         let before = slope - power_per_mm * (at_lens_mm - beside_mm);
@@ -142,7 +143,7 @@ mod tests {
         let stand_off_mm = 22.0;
         for power_per_mm in [-3e-3, 0.0, 3e-3] {
             let z_mm = LENS.best_focus_mm(stand_off_mm, power_per_mm);
-            // Behind the lens they aim at one point of where the objective alone is sharp.
+            // Behind the lens, they aim at one point in the best focus of the objective alone.
             let crossing = |start_mm: f64| {
                 let slope = (1.0 - start_mm) / stand_off_mm;
                 traced(slope, start_mm, power_per_mm, 0.0, z_mm)

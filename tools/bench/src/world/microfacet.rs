@@ -1,25 +1,25 @@
-//! Light on a rough face made of tiny mirrors: Cook and Torrance 1982 with the distribution of Walter et al. 2007 (GGX, alpha is
-//! its roughness), shadowing after Smith, and Fresnel's equations.
+//! Reflection by a rough surface of microfacets: Cook and Torrance 1982 with the distribution of Walter et al. 2007 (GGX, alpha
+//! is its roughness), shadowing after Smith, and Fresnel's equations.
 //!
 //! All directions are unit vectors away from the surface.
 
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
-/// Share of the little mirrors per solid angle whose normal lies at this cosine from the mean one.
+/// Fraction of microfacets per solid angle whose normal has this cosine to the mean one.
 pub(crate) fn density(cos: f64, alpha: f64) -> f64 {
     let a2 = alpha * alpha;
     let t = cos * cos * (a2 - 1.0) + 1.0;
     a2 / (PI * t * t)
 }
 
-/// Share of the mirrors that a direction at this cosine sees.
+/// Fraction of the microfacets visible from a direction with this cosine.
 pub(crate) fn visible(cos: f64, alpha: f64) -> f64 {
     let tan2 = (1.0 - cos * cos).max(0.0) / (cos * cos);
     2.0 / (1.0 + (1.0 + alpha * alpha * tan2).sqrt())
 }
 
-/// π times the bidirectional reflectance of mirrors that reflect all light; to be multiplied by Fresnel's share at the bisector.
+/// π times the bidirectional reflectance of perfectly reflecting microfacets; to be multiplied by the Fresnel reflectance at the bisector.
 pub(crate) fn mirrors(
     alpha: f64,
     normal: &Vector3<f64>,
@@ -30,7 +30,7 @@ pub(crate) fn mirrors(
     PI * density(normal.dot(bisector), alpha) * seen / (4.0 * cos_lamp * cos_eye)
 }
 
-/// Reflected share of unpolarised light on a metal of index `eta - i k`.
+/// Fresnel reflectance of a metal with index `eta - i k` for unpolarised light.
 pub(crate) fn metal(cos: f64, eta: f64, k: f64) -> f64 {
     let (cos2, sin2) = (cos * cos, 1.0 - cos * cos);
     let (eta2, k2) = (eta * eta, k * k);
@@ -42,7 +42,7 @@ pub(crate) fn metal(cos: f64, eta: f64, k: f64) -> f64 {
     0.5 * across * (1.0 + (even - odd) / (even + odd))
 }
 
-/// Reflected share of unpolarised light from air on something clear of this index.
+/// Fresnel reflectance of a dielectric with this index in air for unpolarised light.
 pub(crate) fn clear(cos: f64, index: f64) -> f64 {
     let inside = refracted_cos(cos, index);
     let across = (cos - index * inside) / (cos + index * inside);
@@ -50,12 +50,12 @@ pub(crate) fn clear(cos: f64, index: f64) -> f64 {
     0.5 * (across * across + along * along)
 }
 
-/// Cosine inside something clear.
+/// Cosine inside a dielectric.
 fn refracted_cos(cos: f64, index: f64) -> f64 {
     (1.0 - (1.0 - cos * cos) / (index * index)).max(0.0).sqrt()
 }
 
-/// A direction as it goes on inside something clear, still away from the surface (Snell).
+/// A direction after refraction into a dielectric, still pointing away from the surface (Snell).
 pub(crate) fn refracted(
     direction: &Vector3<f64>,
     normal: &Vector3<f64>,
@@ -65,7 +65,7 @@ pub(crate) fn refracted(
     (direction - cos * normal) / index + refracted_cos(cos, index) * normal
 }
 
-/// Two unit vectors square to a normal and to each other (Duff et al. 2017).
+/// Two unit vectors perpendicular to a normal and to each other (Duff et al. 2017).
 pub(crate) fn tangents(n: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let sign = 1f64.copysign(n.z);
     let a = -1.0 / (sign + n.z);
@@ -76,15 +76,15 @@ pub(crate) fn tangents(n: &Vector3<f64>) -> [Vector3<f64>; 2] {
     ]
 }
 
-/// A direction by the cosine law from two uniform numbers.
+/// A cosine-distributed direction from two uniform numbers.
 pub(crate) fn by_cosine(normal: &Vector3<f64>, [u, v]: [f64; 2]) -> Vector3<f64> {
     let [along, across] = tangents(normal);
     let (sin, cos) = (TAU * v).sin_cos();
     u.sqrt() * (cos * along + sin * across) + (1.0 - u).sqrt() * normal
 }
 
-/// The direction that light to the eye came from by one of the mirrors that the eye sees, drawn from two uniform numbers
-/// (Heitz 2018). It may lie below the surface.
+/// The direction of light that one of the visible microfacets reflects to the eye, from two uniform numbers (Heitz 2018). It may
+/// point below the surface.
 pub(crate) fn by_mirror(
     alpha: f64,
     normal: &Vector3<f64>,
@@ -93,7 +93,7 @@ pub(crate) fn by_mirror(
 ) -> Vector3<f64> {
     let [along, across] = tangents(normal);
     let local = Vector3::new(eye.dot(&along), eye.dot(&across), eye.dot(normal));
-    // The distribution becomes that of a hemisphere when it is stretched; the eye sees a disc of it, partly hidden.
+    // Stretching transforms the distribution to that of a hemisphere; the eye sees a disc of it, partly hidden.
     let stretched = Vector3::new(alpha * local.x, alpha * local.y, local.z).normalize();
     let side = Vector3::new(-stretched.y, stretched.x, 0.0)
         .try_normalize(1e-12)
@@ -109,7 +109,7 @@ pub(crate) fn by_mirror(
     2.0 * eye.dot(&mirror) * mirror - eye
 }
 
-/// Density over solid angle of what [`by_mirror`] draws.
+/// Probability density per solid angle of the directions from [`by_mirror`].
 pub(crate) fn by_mirror_density(
     alpha: f64,
     normal: &Vector3<f64>,
@@ -129,7 +129,7 @@ mod tests {
         let at_normal = |n: f64, k: f64| ((n - 1.0).powi(2) + k * k) / ((n + 1.0).powi(2) + k * k);
         assert!((metal(1.0, 2.4, 3.4) - at_normal(2.4, 3.4)).abs() < 1e-12);
         assert!((clear(1.0, 1.47) - at_normal(1.47, 0.0)).abs() < 1e-12);
-        // A metal that absorbs nothing is clear.
+        // A metal without absorption is a dielectric.
         for cos in [0.05, 0.3, 0.7, 1.0] {
             assert!(
                 (metal(cos, 1.5, 0.0) - clear(cos, 1.5)).abs() < 1e-9,
@@ -137,7 +137,7 @@ mod tests {
             );
         }
         assert!(clear(1e-9, 1.5) > 0.999_999 && metal(1e-9, 2.4, 3.4) > 0.999_999);
-        // At Brewster's angle only one polarisation comes back: ((n^2-1)/(n^2+1))^2 of it.
+        // At Brewster's angle only one polarisation is reflected: ((n^2-1)/(n^2+1))^2 of it.
         let n = 1.5f64;
         let brewster = 1.0 / (1.0 + n * n).sqrt();
         let half = 0.5 * ((n * n - 1.0) / (n * n + 1.0)).powi(2);
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn the_mirrors_cover_the_surface_once() {
-        // The mean of their projected areas is 1, and so is that of what is seen along any direction.
+        // The mean of their projected areas is 1, and so is the visible one along any direction.
         for alpha in [0.15, 0.3, 0.6] {
             let steps = 2_000;
             let area: f64 = (0..steps)

@@ -1,4 +1,4 @@
-//! The physical world of the simulated bench: a worn die, the measuring head and its camera, and the truth.
+//! The physical world of the simulated bench: a worn die, the measuring head and its camera, and the true values.
 //!
 //! ```text
 //! WorldConfig ──► Die (CAD + wear)   ──rays──► what each camera core sees ─┐
@@ -7,9 +7,9 @@
 //!                                                                             ▼ frame (counts)     and the truth per core
 //! ```
 //!
-//! Nothing here knows how frames are decoded: the forward model stands on its own, so that agreement between a decoded
-//! point and the truth means something. Millimetres and radians; frames as in the head's description: `tool` has the die's
-//! axis as z, `stage` the rotation axis, `camera` looks along +z with x to the right and y down.
+//! This module does not know how frames are decoded: the forward model is independent, so that agreement between a decoded point
+//! and the true one is meaningful. Millimetres and radians; frames as in the head file: `tool` has the die's axis as z, `stage`
+//! the rotation axis, `camera` looks along +z with x to the right and y down.
 //!
 //! A view is prepared once per pose (the costly part, on all threads); its frames are then rendered in milliseconds.
 
@@ -71,56 +71,55 @@ use sensor::{Rates, Sensor};
 use std::sync::Arc;
 use surface::Finish;
 
-/// Everything that defines a world. The same configuration gives the same frames.
+/// Configuration of a world. The same configuration gives the same frames.
 #[derive(Clone, Debug)]
 pub struct WorldConfig {
     /// CAD surface of the die in the tool frame, mm, facing outwards.
     pub cad: Mesh,
-    /// Gear data of that surface: where its flanks are.
+    /// Gear data of that surface, which define the positions of its flanks.
     pub gear: GearSpec,
-    /// What the press has done to it.
+    /// Wear of the die.
     pub wear: Vec<Wear>,
-    /// The die as it is, instead of the CAD and its wear.
+    /// A mesh used instead of the CAD and its wear.
     pub die_mesh: Option<Arc<DieMesh>>,
     /// Size of the warm die relative to its CAD; it grows from the axis and from z = 0.
     pub growth: f64,
-    /// Its form as a whole.
+    /// Form error of the die.
     pub form: Form,
-    /// How die and head sit on the stages.
+    /// Mounting of die and head on the stages.
     pub mount: Mount,
-    /// By how much head and die shift against each other from frame to frame, along the fringes' change: standard
-    /// deviation, µm.
+    /// Vibration between head and die from frame to frame, along the direction in which the fringes change: standard deviation, µm.
     pub vibration_um: f64,
-    /// By how much they shiver within a frame, faster than it is exposed: standard deviation, µm. Fringes blur.
+    /// Vibration within a frame, faster than the exposure: standard deviation, µm. It blurs the fringes.
     pub shiver_um: f64,
     /// Reflectance.
     pub surface: Surface,
-    /// Where it is sprayed after all.
+    /// Edge of a sprayed part of the die.
     pub spray_edge: Option<SprayEdge>,
-    /// Most places of the die that light may touch between projector and camera; 1 is direct light alone.
+    /// Largest number of reflections at the die between projector and camera; 1 is direct light alone.
     pub bounces: u32,
-    /// What is printed on it, on a calibration target.
+    /// Pattern printed on a calibration target.
     pub print: Option<Print>,
     /// The head.
     pub optics: HeadOptics,
-    /// The same, if a controller may drive its liquid lenses.
+    /// Design of the head, if a controller may drive its liquid lenses.
     pub driven_head: Option<Box<DrivenHead>>,
     /// Bundle between objective and camera, px of the camera.
     pub camera_bundle: BundleSpec,
     /// Bundle between DMD and objective, px of the DMD.
     pub projector_bundle: BundleSpec,
-    /// What the DMD lights, pass after pass, all patterns in each; empty: all of it at once.
+    /// Mirrors that the DMD lights in each pass, with all patterns per pass; empty: one pass of all mirrors.
     pub passes: Vec<DmdPass>,
     /// The camera.
     pub sensor: SensorSpec,
-    /// Draws the head's individual traits: cores, gains, pixel response. One seed is one head.
+    /// Seed of the head's individual properties: cores, gains, pixel response. One seed is one head.
     pub head_seed: u64,
-    /// Draws what differs from run to run: surface grain and noise.
+    /// Seed of what differs from run to run: surface grain and noise.
     pub run_seed: u64,
 }
 
 impl WorldConfig {
-    /// The demo's head before a sprayed die.
+    /// The demo's head in front of a sprayed die.
     pub fn new(cad: Mesh, gear: GearSpec) -> Self {
         let head = HeadDesign::demo();
         Self {
@@ -149,10 +148,10 @@ impl WorldConfig {
     }
 }
 
-/// Most places that light may touch.
+/// Largest number of reflections that may be configured.
 pub const MAX_BOUNCES: u32 = 16;
 
-/// What tells one pose from another, to draw from.
+/// Bits that identify a pose, used as a seed.
 fn pose_bits(rotation_rad: f64, vertical_mm: f64) -> u64 {
     rotation_rad.to_bits() ^ vertical_mm.to_bits().rotate_left(32)
 }
@@ -167,7 +166,7 @@ pub struct World {
     driven_head: Option<Box<DrivenHead>>,
     head_seed: u64,
     mount: Mount,
-    /// Where an arm holds the camera in the die's frame, if one carries the head.
+    /// Pose of the camera in the die's frame, if an arm carries the head.
     carried: Option<Isometry3<f64>>,
     vibration_um: f64,
     shiver_um: f64,
@@ -179,7 +178,7 @@ pub struct World {
     passes: Vec<DmdPass>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
-    /// The head as its second projector has it, and that one's bundle.
+    /// The optics with the second projector, and its bundle.
     second: Option<(HeadOptics, Bundle)>,
     sights: Vec<Sight>,
     core_exponents: Vec<f32>,
@@ -189,7 +188,7 @@ pub struct World {
     run_seed: u64,
 }
 
-/// One pose, ready to be photographed.
+/// One pose, prepared for rendering.
 pub struct ViewState {
     rates: Rates,
     truth: Vec<CoreTruth>,
@@ -209,7 +208,7 @@ impl World {
         config.sensor.validate()?;
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
-        // Drawn for itself, but by the same seed.
+        // An independent bundle from the same seed.
         let second_bundle = || Bundle::projector(&config.projector_bundle, !config.head_seed);
         let second = config.optics.by_second_projector();
         let second = second
@@ -274,10 +273,10 @@ impl World {
         })
     }
 
-    /// Replaces the damage of the die, as more press cycles do. Views prepared before show the die as it was.
+    /// Replaces the damage of the die, after more press cycles. Views prepared before show the previous state.
     ///
     /// # Errors
-    /// Damage that this die cannot have; it then stays as it is.
+    /// The damage is not possible for this die; it then stays unchanged.
     pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
         if self.die_mesh.is_some() {
             return match wear.len() {
@@ -293,11 +292,10 @@ impl World {
         Ok(())
     }
 
-    /// Puts a mesh there as the die, with the form of the die that stood there; none: the CAD again, undamaged. Views prepared
-    /// before show the die as it was.
+    /// Replaces the die by a mesh with the present form error; `None`: by the undamaged CAD. Views prepared before show the previous die.
     ///
     /// # Errors
-    /// A drawing that is no die.
+    /// The drawing is not a valid die.
     pub fn stand(&mut self, mesh: Option<Arc<DieMesh>>) -> Result<(), WorldError> {
         let field = WearField::new(&self.gear, &[])?;
         let mut die = match &mesh {
@@ -311,20 +309,20 @@ impl World {
         Ok(())
     }
 
-    /// Lets the cores' image stand this far along the rows from where it is drawn, px: a head that warms bends. Views prepared before
-    /// show it where it was.
+    /// Shifts the cores' image along the rows relative to its design position, px, as a head bends when it warms up. Views
+    /// prepared before show the previous state.
     ///
     /// # Errors
-    /// More than ten pixels.
+    /// The shift is more than ten pixels.
     pub fn shift_cores(&mut self, shift_px: f64) -> Result<(), WorldError> {
         WorldError::check("shift_px", shift_px, -10.0, 10.0)?;
         self.sensor.shift(&self.camera_bundle, shift_px);
         Ok(())
     }
 
-    /// Drives a head's liquid lenses by so many counts; none: as its file says. Views prepared before show it as it was.
+    /// Drives the head's liquid lenses to these counts; `None`: to the setting in its file. Views prepared before show the previous state.
     /// # Errors
-    /// Optics that are none; they then stay.
+    /// The optics are invalid; the present ones are kept.
     pub fn focus(&mut self, counts: Option<u16>) -> Result<(), WorldError> {
         if let Some(head) = &self.driven_head {
             let optics = head.optics(counts, self.head_seed);
@@ -339,7 +337,8 @@ impl World {
         Ok(())
     }
 
-    /// An arm holds the camera there in the die's frame, wherever the stages stand. Views prepared before show it as it was.
+    /// Sets the pose of the camera in the die's frame, held by an arm, independent of the stages. Views prepared before show the
+    /// previous pose.
     pub fn carry(&mut self, tool_from_camera: Isometry3<f64>) {
         self.carried = Some(tool_from_camera);
     }
@@ -349,7 +348,7 @@ impl World {
         self.optics.camera_size_px
     }
 
-    /// Whether the die reaches into the field of a head raised by `vertical_mm`.
+    /// Whether the die is in the field of a head raised by `vertical_mm`.
     pub fn sees_die(&self, vertical_mm: f64) -> bool {
         let centre_mm = self
             .mount
@@ -357,7 +356,7 @@ impl World {
             .translation
             .vector
             .z;
-        // The field's edge, seen under twice its angle: distortion and blur reach a little farther than the circle.
+        // The edge of the field at twice its angle: distortion and blur extend slightly beyond the circle.
         let reach_mm = 2.0 * self.optics.camera_objective.field_radius_mm;
         let heights = || self.die.mesh().vertices.iter().map(|vertex| vertex[2]);
         let (low, high) = heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| {
@@ -371,20 +370,20 @@ impl World {
         &self.gear
     }
 
-    /// The die as it really is.
+    /// The real die.
     pub fn die(&self) -> &Die {
         &self.die
     }
 
-    /// How far along `normal` (a unit vector, tool frame) the surface of the die lies from a point of the drawing, mm: the
-    /// nearest place within `reach_mm` to either side, the die at the temperature of its drawing.
+    /// Distance of the die's surface from a point of the drawing along `normal` (a unit vector, tool frame), mm: the nearest
+    /// intersection within `reach_mm` on either side, with the die at the temperature of its drawing.
     pub fn surface_along_mm(
         &self,
         point_mm: Point3<f64>,
         normal: Vector3<f64>,
         reach_mm: f64,
     ) -> Option<f64> {
-        /// Each ray starts this far behind the point, mm: a surface through the point itself is met by both.
+        /// Each ray starts this far behind the point, mm, so that both rays hit a surface through the point itself.
         const START_MM: f64 = 1e-3;
         let along = |direction: Vector3<f64>| {
             let start = self.growth * (point_mm - START_MM * direction).coords;
@@ -406,12 +405,12 @@ impl World {
         &self.sensor_spec
     }
 
-    /// The camera's bundle: where its cores lie on the sensor.
+    /// The camera's bundle, with the positions of its cores on the sensor.
     pub fn camera_bundle(&self) -> &Bundle {
         &self.camera_bundle
     }
 
-    /// The projector's bundle: where its cores lie on the DMD.
+    /// The projector's bundle, with the positions of its cores on the DMD.
     pub fn projector_bundle(&self) -> &Bundle {
         &self.projector_bundle
     }
@@ -421,7 +420,7 @@ impl World {
         &self.optics
     }
 
-    /// Puts the stages at their *true* position and computes the light of every pattern on every pixel.
+    /// Moves the stages to their *true* position and computes the light of every pattern on every pixel.
     ///
     /// `rotation_rad` turns the die, `vertical_mm` raises the head; stage errors are the caller's to add. Pattern `i` of
     /// `patterns` becomes index `i + 1`, index 0 is black; with passes, those of each follow the ones before,
@@ -450,7 +449,7 @@ impl World {
             mount.tool_from_camera(&self.optics, rotation_rad, vertical_mm)
         });
         let stage = self.stage((rotation_rad, vertical_mm));
-        // Every mirror leaks, lit or not; over other places of the die that is too little to follow.
+        // Every mirror leaks, lit or not; reflected leakage is negligible.
         let all = match self.passes.is_empty() {
             true => stage.look(tool_from_camera, &frequencies),
             false => {
@@ -504,7 +503,7 @@ impl World {
         })
     }
 
-    /// What a view of a pose, its angle and height, is made of.
+    /// Data of a view at a pose, given by angle and height.
     fn stage(&self, (rotation_rad, vertical_mm): (f64, f64)) -> Stage<'_> {
         Stage {
             optics: &self.optics,
@@ -521,7 +520,7 @@ impl World {
         }
     }
 
-    /// Shifts by vibration, frame by frame of a view.
+    /// Shifts by vibration, for each frame of a view.
     fn shifts_mm(&self, rotation_rad: f64, vertical_mm: f64) -> impl Iterator<Item = f64> {
         let pose = pose_bits(rotation_rad, vertical_mm);
         let mut random = Normals::new(stream(self.run_seed ^ pose, Purpose::Vibration));
@@ -529,7 +528,7 @@ impl World {
         std::iter::repeat_with(move || sigma_mm * random.next())
     }
 
-    /// Phase of a pattern of one period per shift across the projector's view in best focus, rad/mm.
+    /// Phase change of a pattern of one period per shift across the projector's view in best focus, rad/mm.
     fn turn_per_mm(&self) -> f64 {
         let px_per_mm =
             self.optics.projector.focal_px[0] / self.optics.projector_objective.focus_mm;
@@ -559,7 +558,7 @@ impl World {
             .collect()
     }
 
-    /// Takes one frame: 12-bit counts, row by row.
+    /// Renders one frame: 12-bit counts, row by row.
     ///
     /// `frame_counter` seeds the noise: the same counter gives the same frame.
     pub fn render(
@@ -595,7 +594,7 @@ impl World {
         Ok(())
     }
 
-    /// Takes one frame by what each projector shows meanwhile, an index in its own DMD; none where it is dark.
+    /// Renders one frame with the pattern index that each projector shows during the exposure; `None` if it is dark.
     ///
     /// # Errors
     /// As [`Self::render`].
@@ -633,7 +632,7 @@ impl World {
         }
     }
 
-    /// The truth of a view: one entry per camera core that sees the die.
+    /// True values of a view: one entry per camera core that sees the die.
     pub fn truth<'a>(&self, view: &'a ViewState) -> &'a [CoreTruth] {
         &view.truth
     }

@@ -1,57 +1,57 @@
-//! How die and head really sit on the stages: never quite as the files say.
+//! True mounting of die and head on the stages, which deviates from the files.
 
 use super::optics::HeadOptics;
 use super::random::{Normals, Purpose, stream};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Length of the die's eccentricity on the rotary stage, mm.
+/// Eccentricity of the die on the rotary stage, mm.
 const ECCENTRICITY_MM: f64 = 0.5;
-/// Tilt of the die's axis against the rotation axis, rad.
+/// Tilt of the die's axis relative to the rotation axis, rad.
 const TILT_RAD: f64 = 0.2 * DEGREE;
-/// Error of the hand-eye in the head file: shift and turn.
+/// Error of the hand-eye transform in the head file: shift and rotation.
 const HAND_EYE_MM: f64 = 0.5;
 const HAND_EYE_RAD: f64 = 1.0 * DEGREE;
-/// Amplitude of each harmonic of the rotary encoder: three of them together stay within ±15 mdeg.
+/// Amplitude of each harmonic of the rotary encoder's error: the sum of three stays within ±15 mdeg.
 const HARMONIC_RAD: f64 = 5e-3 * DEGREE;
-/// Standard deviation of the vertical axis against the rotation axis, rad: towards the die as left by an alignment with a
-/// straight edge, along its wall as left by the machine's assembly.
+/// Standard deviation of the angle between vertical axis and rotation axis, rad: towards the die after alignment with a straight
+/// edge, along its wall after assembly of the machine.
 const VERTICAL_RAD: [f64; 2] = [10e-6, 200e-6];
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// What the rotary stage carries.
+/// What the rotary stage carries: die or head.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Carries {
-    /// The die, before a head that only goes up and down.
+    /// The die, in front of a head that moves vertically only.
     #[default]
     Die,
-    /// The head, which hangs from a slide that goes up and down in a press.
+    /// The head, which hangs from a vertical slide in a press.
     Head,
 }
 
-/// Where die, head and axes are, against where the files put them.
+/// Poses of die, head and axes relative to those in the files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mount {
     /// What turns.
     pub rotary_carries: Carries,
-    /// Die on the rotary stage.
+    /// Pose of the die on the rotary stage.
     pub table_from_die: Isometry3<f64>,
-    /// The head's true place seen from the one in its file.
+    /// The head's true pose relative to that in its file.
     pub nominal_from_camera: Isometry3<f64>,
-    /// Sideways travel of the vertical stage per height, in x and y of the stage frame.
+    /// Lateral motion of the vertical stage per height, in x and y of the stage frame.
     pub vertical_slope: [f64; 2],
-    /// Cosine and sine part of the rotary encoder's error, once, twice and three times per turn, rad.
+    /// Cosine and sine of the rotary encoder's error at one, two and three periods per revolution, rad.
     pub harmonics_rad: [[f64; 2]; 3],
-    /// What no harmonic of low order follows.
+    /// Sawtooth error, which low harmonics cannot describe.
     pub saw: Saw,
 }
 
-/// Error of a rotary encoder that grows evenly and falls back at once, so often per turn: half of its height at most. A disc glued on
-/// with a gap has one tooth, a worn worm wheel as many as it has.
+/// Sawtooth error of a rotary encoder: grows linearly and falls back several times per revolution, ± half of its amplitude. A
+/// disc that was glued on with a gap has one period, a worn worm wheel as many as it has teeth.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Saw {
-    /// Teeth per turn.
+    /// Periods per revolution.
     pub teeth: u32,
     /// Largest minus smallest error, rad.
     pub height_rad: f64,
@@ -67,7 +67,7 @@ impl Saw {
 }
 
 impl Mount {
-    /// Everything where the files put it.
+    /// All poses as in the files.
     pub fn perfect() -> Self {
         Self {
             rotary_carries: Carries::Die,
@@ -79,7 +79,7 @@ impl Mount {
         }
     }
 
-    /// A die put on the table by hand and a head whose hand-eye is known only roughly; directions are drawn from `seed`.
+    /// A die placed by hand, and a head whose hand-eye transform is known only roughly; directions are drawn from `seed`.
     pub fn by_hand(seed: u64) -> Self {
         let mut random = Normals::new(stream(seed, Purpose::Mount));
         let mut direction = |flat: bool| {
@@ -127,9 +127,9 @@ impl Mount {
         let [along, across] = self.vertical_slope.map(|slope| slope * vertical_mm);
         let slide = Translation3::new(along, across, vertical_mm);
         let stands = match self.rotary_carries {
-            // The table is turned, the slide stands in the room.
+            // The table rotates, the slide is fixed in space.
             Carries::Die => turn.inverse() * slide,
-            // The table is the room, and the slide carries the rotary stage.
+            // The table is fixed in space, and the slide carries the rotary stage.
             Carries::Head => slide * turn,
         };
         self.table_from_die.inverse() * stands * optics.stage_from_camera * self.nominal_from_camera

@@ -1,4 +1,4 @@
-//! The head's two objectives: where light goes, how sharp and how bright it arrives.
+//! The head's two objectives: projection, sharpness and brightness.
 
 use super::WorldError;
 use super::unevenness::Unevenness;
@@ -15,7 +15,7 @@ pub struct Pinhole {
     pub centre_px: [f64; 2],
     /// k1, k2, p1, p2, k3.
     pub distortion: [f64; 5],
-    /// What the lens does beyond that.
+    /// Residual distortion beyond that model.
     pub uneven: Option<Unevenness>,
 }
 
@@ -25,13 +25,13 @@ impl Pinhole {
         (p.z > 0.0).then(|| self.pixel(self.distort(Vector2::new(p.x / p.z, p.y / p.z))))
     }
 
-    /// Direction (z = 1, not normalised) of the light that meets pixel `px`.
+    /// Direction (z = 1, not normalised) of the light that reaches pixel `px`.
     pub fn direction(&self, px: [f64; 2]) -> Vector3<f64> {
         let seen = Vector2::new(
             (px[0] - self.centre_px[0]) / self.focal_px[0],
             (px[1] - self.centre_px[1]) / self.focal_px[1],
         );
-        // Newton: the distortion is a small, smooth change of the identity; its Jacobian by central differences.
+        // Newton's method: the distortion is a small, smooth deviation from identity; its Jacobian by central differences.
         let mut ideal = seen;
         const STEP: f64 = 1e-6;
         for _ in 0..10 {
@@ -78,15 +78,15 @@ impl Pinhole {
 pub struct Objective {
     /// Distance of best focus on the axis, mm.
     pub focus_mm: f64,
-    /// Best focus comes nearer by this much per squared lateral distance, mm/mm².
+    /// Field curvature: best focus approaches by this much per squared lateral distance, mm/mm².
     pub field_curvature_per_mm: f64,
     /// Radius of the measured field at best focus, mm.
     pub field_radius_mm: f64,
     /// Blur in best focus, standard deviation in core pitches.
     pub focus_sigma_pitch: f64,
-    /// Blur gained per distance from best focus, core pitches per mm.
+    /// Increase of the blur per distance from best focus, core pitches per mm.
     pub defocus_sigma_pitch_per_mm: f64,
-    /// Share of the light lost at the edge of the field.
+    /// Fraction of the light lost at the edge of the field.
     pub edge_loss_ratio: f64,
 }
 
@@ -113,7 +113,7 @@ impl Objective {
     }
 }
 
-/// Everything optical in the measuring head.
+/// Optics of the measuring head.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeadOptics {
     /// Camera through its bundle and objective.
@@ -130,19 +130,19 @@ pub struct HeadOptics {
     pub projector_objective: Objective,
     /// Projector frame from camera frame.
     pub projector_from_camera: Isometry3<f64>,
-    /// Another projector, with bundle and objective as the first.
+    /// A second projector, with the same bundle and objective properties as the first.
     pub second_projector: Option<SecondProjector>,
     /// Stage frame from camera frame with both stages at zero.
     pub stage_from_camera: Isometry3<f64>,
-    /// Modulation of a coarse pattern at the centre of the field: the rest is stray light.
+    /// Modulation of a coarse pattern at the centre of the field; the remainder is stray light.
     pub contrast_centre: f64,
-    /// The same at the edge of the field.
+    /// Modulation of a coarse pattern at the edge of the field.
     pub contrast_edge: f64,
-    /// Light that the DMD still sends when all mirrors are off, relative to all on.
+    /// Light of the DMD with all mirrors off, relative to all on.
     pub dmd_leak_ratio: f64,
 }
 
-/// What a second projector has of its own.
+/// Properties of a second projector that differ from the first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SecondProjector {
     /// DMD through bundle and objective.
@@ -152,7 +152,7 @@ pub struct SecondProjector {
 }
 
 impl HeadOptics {
-    /// The head with its second projector alone, if it has one.
+    /// The head with its second projector only, if it has one.
     pub fn by_second_projector(&self) -> Option<Self> {
         let second = self.second_projector.clone()?;
         Some(Self {
@@ -163,7 +163,7 @@ impl HeadOptics {
         })
     }
 
-    /// Makes all lenses uneven by `rms_um` along each axis in best focus, whatever they were; one seed is one head.
+    /// Gives all lenses a residual distortion of `rms_um` along each axis in best focus, replacing any present one; one seed is one head.
     pub fn make_uneven(&mut self, rms_um: f64, seed: u64) {
         let second = self.second_projector.as_mut();
         let second = second.map(|second| (&mut second.projector, &self.projector_objective));

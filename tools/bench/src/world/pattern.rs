@@ -1,4 +1,4 @@
-//! What the DMD shows.
+//! Patterns of the DMD.
 
 use super::WorldError;
 use serde::Deserialize;
@@ -6,15 +6,15 @@ use serde::Deserialize;
 /// One sinusoidal frame of the DMD: brightness `0.5 + 0.5 cos(2π periods (x + 0.5) / width + 2π step / steps)` at column x.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct PatternSpec {
-    /// Periods over the width of the DMD; 0 is evenly lit.
+    /// Periods over the width of the DMD; 0 is uniform.
     pub periods: f64,
     /// Number of the phase step, from 0.
     pub step: u32,
-    /// Phase steps per turn.
+    /// Phase steps per period.
     pub steps: u32,
 }
 
-/// A frequency of a set that a head brings along.
+/// A frequency of a set that is specific to a head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub struct Fringes {
     /// Periods over the width of the DMD.
@@ -37,7 +37,7 @@ impl PatternSpec {
             .collect()
     }
 
-    /// A set by the name that head files and plans give it.
+    /// A set by its name in head files and plans.
     pub fn named(name: &str) -> Option<Vec<Self>> {
         match name {
             "article8" => Some(Self::sequence(&[(4.0, 4), (48.0, 4)])),
@@ -49,7 +49,7 @@ impl PatternSpec {
         }
     }
 
-    /// What a head file says: a set of its own, or one by its name.
+    /// The set of a head file: its own, or one by name.
     pub fn of_head(name: &str, fringes: &[Fringes]) -> Option<Vec<Self>> {
         if fringes.is_empty() {
             return Self::named(name);
@@ -71,7 +71,7 @@ impl PatternSpec {
         Self::sequence(&[(4.0, 4), (13.0, 4), (48.0, 8)])
     }
 
-    /// Phase by which the step moves the fringes, rad.
+    /// Phase shift of the step, rad.
     pub fn step_rad(&self) -> f64 {
         std::f64::consts::TAU * f64::from(self.step) / f64::from(self.steps)
     }

@@ -5,9 +5,9 @@ use nalgebra::{Isometry3, Point3};
 /// Dots on some plates of a mesh.
 #[derive(Clone, Debug)]
 pub struct Print {
-    /// Where each printed plate lies: triangles `2 i` and `2 i + 1` of the mesh are plate `i`.
+    /// Pose of each printed plate: triangles `2 i` and `2 i + 1` of the mesh are plate `i`.
     pub tool_from_plate: Vec<Isometry3<f64>>,
-    /// From dot to dot, mm.
+    /// Distance between neighbouring dots, mm.
     pub pitch_mm: f64,
     /// Radius of a dot, mm.
     pub radius_mm: f64,
@@ -15,15 +15,14 @@ pub struct Print {
     pub key_radius_mm: f64,
     /// Column and row of the larger ones.
     pub keys: Vec<[i32; 2]>,
-    /// Dots from the middle to the edge of a plate.
+    /// Number of dots from the centre to the edge of a plate.
     pub reach: i32,
     /// Reflectance of a dot relative to the plate's.
     pub ink_ratio: f64,
 }
 
 impl Print {
-    /// Reflectance at a point of a triangle relative to the white plate, seen with a blur of standard deviation
-    /// `blur_mm` on the plate.
+    /// Reflectance at a point of a triangle relative to the white plate, with a blur of standard deviation `blur_mm` on the plate.
     pub(crate) fn ratio(&self, triangle: usize, point: Point3<f64>, blur_mm: f64) -> f64 {
         let Some(tool_from_plate) = self.tool_from_plate.get(triangle / 2) else {
             return 1.0;
@@ -44,7 +43,7 @@ impl Print {
     }
 }
 
-/// Normal distribution function: what a Gaussian blur makes of a straight edge (Abramowitz and Stegun 26.2.17, 7.5e-8).
+/// Normal distribution function: the profile of a straight edge after Gaussian blur (Abramowitz and Stegun 26.2.17, 7.5e-8).
 fn normal_cdf(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.231_641_9 * x.abs());
     let tail = t
@@ -60,7 +59,7 @@ fn normal_cdf(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Against the distribution function by summing the density.
+    /// Compared with the distribution function by numerical integration of the density.
     #[test]
     fn the_blurred_edge_is_a_normal_distribution() {
         let step = 1e-4;

@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::TAU;
 
-/// What a stream of random numbers is used for.
+/// Purpose of a stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
     CameraBundle,
@@ -23,7 +23,7 @@ pub(crate) enum Purpose {
 }
 
 impl Purpose {
-    /// A number of its own for every purpose, and which of several of its kind.
+    /// A unique number for every purpose, and an index among several of its kind.
     fn label(self) -> [i64; 2] {
         match self {
             Self::CameraBundle => [1, 0],
@@ -45,8 +45,8 @@ impl Purpose {
 
 /// The stream of `seed` for `purpose`.
 ///
-/// Seed and label are mixed into all of the generator's 256 bits, state and increment. A label in the increment alone would
-/// not do: the generator makes it odd, so that two labels that differ in their last bit would share a stream.
+/// Seed and label are mixed into all 256 bits of the generator's state and increment. A label in the increment alone would not
+/// suffice: the generator makes it odd, so two labels that differ in their last bit would share a stream.
 pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
     let [kind, index] = purpose.label();
     let mut bytes = [0u8; 32];
@@ -89,7 +89,7 @@ impl<R: rand::Rng> Normals<R> {
 
 /// A well mixed 64-bit hash of a lattice point (finaliser of SplitMix64, Steele et al. 2014).
 ///
-/// The seed is mixed before the first coordinate comes in: two seeds that differ in a bit must not be one lattice shifted.
+/// The seed is mixed before the first coordinate, so that two seeds that differ in one bit do not give shifted copies of one lattice.
 pub(crate) fn hash(seed: u64, cell: [i64; 3]) -> u64 {
     let mut h = mix(seed);
     for c in cell {
@@ -110,7 +110,7 @@ mod tests {
     use super::*;
     use std::collections::HashMap;
 
-    /// Every purpose, with a few of those that come in numbers.
+    /// Every purpose, with several indices where it has them.
     fn purposes() -> Vec<Purpose> {
         let mut all = vec![
             Purpose::CameraBundle,
@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     fn no_two_purposes_and_no_two_seeds_share_a_value() {
-        // 7 seeds x 216 streams x 64 values of 64 bits: by chance two agree once in 4e9 such sets.
+        // 7 seeds x 216 streams x 64 values of 64 bits: a random coincidence occurs once in 4e9 such sets.
         let mut known = HashMap::new();
         for seed in [0, 1, 2, 3, 4, 1 << 40, u64::MAX] {
             for purpose in purposes() {
@@ -159,7 +159,7 @@ mod tests {
         for (i, a) in all.iter().enumerate() {
             for b in &all[..i] {
                 let correlation = a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / COUNT as f64;
-                // Standard deviation 1/sqrt(n) each; five of them for 190 pairs.
+                // Standard deviation 1/sqrt(n) each; five standard deviations for 190 pairs.
                 assert!(
                     correlation.abs() < 5.0 / (COUNT as f64).sqrt(),
                     "{correlation}"

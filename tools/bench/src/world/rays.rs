@@ -1,4 +1,4 @@
-//! Rays against a triangle mesh: a bounding volume hierarchy finds candidates, double precision decides.
+//! Intersection of rays with a triangle mesh: a bounding volume hierarchy finds candidates, double precision decides.
 
 use flankscope_gear_cad::Mesh;
 use nalgebra::{Point3, Vector3};
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// that and never lose a triangle.
 const BOX_MARGIN_MM: f32 = 5e-5;
 
-/// Where a ray meets the mesh.
+/// Intersection of a ray with the mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Index of the triangle in the mesh.
@@ -23,7 +23,7 @@ pub struct Hit {
     pub normal: Vector3<f64>,
 }
 
-/// A mesh ready for rays.
+/// A mesh prepared for ray casting.
 pub struct RayCaster {
     bvh: Bvh2,
     /// Corner and two edges per triangle, in the order of the hierarchy's leaves.
@@ -101,8 +101,8 @@ impl RayCaster {
         })
     }
 
-    /// Whether a point lies inside a closed mesh, whichever way its triangles are wound: by the parity of what rays cross, the
-    /// majority of three, because a ray through an edge may count it twice.
+    /// Whether a point lies inside a closed mesh, independent of the orientation of its triangles: by the parity of crossings,
+    /// the majority of three rays, because a ray through an edge may count it twice.
     pub fn encloses(&self, point: Point3<f64>) -> bool {
         const DIRECTIONS: [[f64; 3]; 3] = [
             [0.356, 0.271, 0.894],
@@ -126,7 +126,7 @@ impl RayCaster {
         DIRECTIONS.into_iter().filter(|d| inside(*d)).count() >= 2
     }
 
-    /// Whether anything lies between two points. Leave the surface first: an end on a triangle counts as blocked.
+    /// Whether the line between two points is blocked. Offset the ends from the surface: an end on a triangle counts as blocked.
     pub fn blocked(&self, from: Point3<f64>, to: Point3<f64>) -> bool {
         let way = to - from;
         !self
@@ -139,9 +139,9 @@ impl RayCaster {
             })
     }
 
-    /// Ray parameter where triangle `leaf` is met in front of the origin (Möller and Trumbore 1997).
+    /// Ray parameter of the intersection with triangle `leaf` in front of the origin (Möller and Trumbore 1997).
     fn distance(&self, leaf: usize, origin: Point3<f64>, direction: Vector3<f64>) -> Option<f64> {
-        // A hair of overlap, so that a ray through a shared edge meets at least one of its triangles.
+        // Slight overlap, so that a ray through a shared edge hits at least one of its triangles.
         const OVERLAP: f64 = 1e-12;
         let [a, u, v] = self.corners[leaf];
         let p = direction.cross(&v);

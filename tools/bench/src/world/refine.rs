@@ -1,13 +1,13 @@
-//! Conforming refinement: an edge is split for all its triangles or for none, so no crack can open.
+//! Conforming mesh refinement: an edge is split for all its triangles or for none, so no crack can open.
 
 use flankscope_gear_cad::Mesh;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
-/// Middle vertex of each edge to be halved.
+/// Midpoint vertex of each edge to be halved.
 type Halves = HashMap<(u32, u32), u32, BuildHasherDefault<EdgeHasher>>;
 
-/// Two vertex numbers of our own making: nobody chooses them to collide, so mixing them well is enough.
+/// Hash of two vertex indices. They are not chosen by an attacker, so good mixing is sufficient.
 #[derive(Default)]
 struct EdgeHasher(u64);
 
@@ -30,13 +30,13 @@ impl Hasher for EdgeHasher {
 
 /// Halves every edge longer than `longest_mm` of the tagged triangles for which `wanted` holds, until none is left.
 ///
-/// Whole triangles are asked, not edges: where only one long side of a sliver were wanted, the fan of its parts would
-/// itself be long and wanted, and so on. Every triangle at a halved edge is divided, tagged or not; parts keep the tag of
-/// the whole. New points lie on the old triangles: the surface does not move.
+/// The criterion applies to whole triangles instead of edges: if only one long side of a sliver were selected, the fan of its
+/// parts would be long and selected again, and so on. Every triangle at a halved edge is divided, tagged or not; parts keep the
+/// tag. New points lie on the old triangles, so the surface does not change.
 ///
-/// A triangle at the rim that is halved again and again along one side would become a fan of slivers as long as itself, in
-/// which no ray finds its way. So its longest side is halved too as soon as it is more than [`GRADING`] times as long as
-/// the one that is: the pieces grow outwards step by step.
+/// A triangle at the rim that is repeatedly halved along one side would become a fan of slivers as long as itself, which rays may
+/// miss. So its longest side is halved, too, once it is more than [`GRADING`] times as long as the halved one: the pieces grow
+/// outwards gradually.
 pub(crate) fn refine<T: Copy>(
     mesh: &mut Mesh,
     tags: &mut Vec<Option<T>>,
@@ -67,7 +67,7 @@ fn key(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
 
-/// Middle vertex of each edge to be halved; the vertices are added to the mesh in a fixed order.
+/// Midpoint vertex of each edge to be halved; the vertices are added to the mesh in a fixed order.
 fn halved_edges<T: Copy>(
     mesh: &mut Mesh,
     tags: &[Option<T>],
@@ -86,11 +86,11 @@ fn halved_edges<T: Copy>(
             }
         }
     }
-    // What is halved for one triangle is halved for its neighbour, whose longest side may then be too long.
+    // An edge halved for one triangle is halved for its neighbour, whose longest side may then be too long.
     let mut before = 0;
     while halves.len() > before {
         before = halves.len();
-        // Most triangles have no halved edge: two looks at their corners tell.
+        // Most triangles have no halved edge, which two tests of their corners show.
         let mut at_end = vec![false; mesh.vertices.len()];
         for &(p, q) in halves.keys() {
             at_end[p as usize] = true;
@@ -132,7 +132,7 @@ fn halve(vertices: &mut Vec<[f64; 3]>, halves: &mut Halves, edge: (u32, u32)) {
     });
 }
 
-/// Pieces of a triangle whose edges are halved as `halves` says, in the same sense of rotation.
+/// Pieces of a triangle with halved edges, in the same orientation.
 fn divide(vertices: &[[f64; 3]], [a, b, c]: [u32; 3], halves: &Halves, out: &mut Vec<[u32; 3]>) {
     let half = |p, q| halves.get(&key(p, q)).copied();
     match (half(a, b), half(b, c), half(c, a)) {
@@ -147,7 +147,7 @@ fn divide(vertices: &[[f64; 3]], [a, b, c]: [u32; 3], halves: &Halves, out: &mut
     }
 }
 
-/// Triangle `a, b, c` with middles `m` on ab and `n` on bc: the corner at b, and the rest along its shorter diagonal.
+/// Triangle `a, b, c` with midpoints `m` on ab and `n` on bc: cuts off the corner at b, and splits the rest along its shorter diagonal.
 fn corner_off(vertices: &[[f64; 3]], [a, m, b, n, c]: [u32; 5], out: &mut Vec<[u32; 3]>) {
     out.push([m, b, n]);
     if length2(vertices, (a, n)) < length2(vertices, (m, c)) {
@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_rim_of_a_refined_strip_is_no_fan() {
-        // A strip of two long triangles to be refined beside one of two that are not asked.
+        // A strip of two long triangles to be refined, beside one of two that are not selected.
         let [x, z] = [0.4, 66.0];
         let corner = |i: u32| [f64::from(i % 3) * x, 0.0, f64::from(i / 3) * z];
         let mut mesh = Mesh {
@@ -183,7 +183,7 @@ mod tests {
             let longest2 = sides(*triangle).map(|edge| length2(&mesh.vertices, edge));
             assert!(tag.is_none() || longest2.iter().all(|l| *l <= 0.1 * 0.1));
         }
-        // An inner edge has two triangles, one of the outline has one: no crack.
+        // An inner edge has two triangles, one at the outline has one: no crack.
         let mut edges = HashMap::new();
         let mut around = vec![0; mesh.vertices.len()];
         for triangle in &mesh.triangles {
@@ -201,7 +201,7 @@ mod tests {
         for (&(p, q), &count) in &edges {
             assert!(count == 2 || count == 1 && on_outline(p) && on_outline(q));
         }
-        // Halving triangles as grown as these keeps angles away from zero: far from the thousand of a fan.
+        // Halving graded triangles keeps angles away from zero, unlike a fan of a thousand.
         assert!(
             around.iter().all(|&count| count <= 24),
             "{:?}",

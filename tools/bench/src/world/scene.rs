@@ -1,4 +1,4 @@
-//! One view: what every camera core sees of the die, and how brightly the projector's cores light it.
+//! One view: the point of the die that every camera core sees, and its illumination by the projector's cores.
 
 use super::bundle::Bundle;
 use super::die::Die;
@@ -15,7 +15,7 @@ use super::wear::FlankId;
 use nalgebra::{Isometry3, Matrix2, Point3, Vector3};
 use rayon::prelude::*;
 
-/// What is really there at one camera core.
+/// True values at one camera core.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoreTruth {
     /// Index of the core in the camera bundle.
@@ -24,9 +24,9 @@ pub struct CoreTruth {
     pub point_tool_mm: [f64; 3],
     /// Unit normal there, out of the material.
     pub normal_tool: [f64; 3],
-    /// The projector sees the point too, and has a core and a pixel for it.
+    /// Whether the projector sees the point, too, and has a core and a pixel for it.
     pub lit: bool,
-    /// DMD column and row whose light arrives there, px.
+    /// DMD column and row from which light arrives there, px.
     pub projector_px: [f64; 2],
     /// Flank that the point lies on, if any.
     pub flank: Option<FlankId>,
@@ -36,16 +36,16 @@ pub struct CoreTruth {
 
 /// Most distinct fringe frequencies in one set.
 pub(crate) const MAX_FREQUENCIES: usize = 4;
-/// Sums carried per core: the evenly lit pattern, and cosine and sine of each frequency.
+/// Sums per core: the uniform pattern, and cosine and sine of each frequency.
 pub(crate) const LANES: usize = 1 + 2 * MAX_FREQUENCIES;
-/// Light of an evenly lit pattern, and cosine and sine part of the fringes of each frequency; zero beyond the last.
+/// Light of a uniform pattern, and cosine and sine component of the fringes of each frequency; zero for unused frequencies.
 pub type Lanes = [f32; LANES];
 
-/// A core collects DMD pixels over its own area: standard deviation in pitches.
+/// Standard deviation of the DMD area that a core collects from, in pitches.
 pub(crate) const CORE_APERTURE_PITCH: f64 = 0.2;
 /// Largest footprint of a camera core on the DMD in projector pitches: at grazing incidence modulation is lost anyway.
 const MAX_FOOTPRINT_PITCH: f64 = 4.0;
-/// The blur is cut at this many standard deviations.
+/// The blur is truncated at this many standard deviations.
 const BLUR_REACH: f64 = 3.0;
 
 /// A camera core's line of sight in the camera frame (z = 1) and its change per pixel in x and y.
@@ -68,7 +68,7 @@ pub(crate) fn sights(optics: &HeadOptics, bundle: &Bundle) -> Vec<Sight> {
     bundle.positions_px().par_iter().map(sight).collect()
 }
 
-/// Light that leaves each projector core for the frequencies of a pattern set, where the pass leaves it lit.
+/// Light emitted by each projector core for the frequencies of a pattern set, as far as the pass lights it.
 pub(crate) fn emission(
     optics: &HeadOptics,
     bundle: &Bundle,
@@ -103,7 +103,7 @@ pub(crate) fn emission(
     bundle.with_crosstalk(&light)
 }
 
-/// The parts of the world that a view is made of.
+/// The parts of the world that determine a view.
 #[derive(Clone, Copy)]
 pub(crate) struct Stage<'a> {
     pub optics: &'a HeadOptics,
@@ -113,24 +113,24 @@ pub(crate) struct Stage<'a> {
     pub die: &'a Die,
     pub rays: &'a RayCaster,
     pub finish: &'a Finish,
-    /// Most places that light may touch.
+    /// Largest number of reflections.
     pub bounces: u32,
     pub print: Option<&'a Print>,
-    /// Draws the ways of light.
+    /// Seed of the random light paths.
     pub seed: u64,
-    /// What the DMD lights; all of it without one.
+    /// Mirrors that the DMD lights; all of them if `None`.
     pub pass: Option<&'a DmdPass>,
 }
 
-/// One camera core's share of a view.
+/// Result of one camera core in a view.
 pub(crate) struct CoreView {
     pub truth: Option<CoreTruth>,
-    /// Light that enters the core in the lanes of [`emission`], relative to a plane of reflectance 1 that faces the
-    /// projector in the middle of the field, evenly lit; contrast already taken off the fringes.
+    /// Light that enters the core in the lanes of [`emission`], relative to a plane of reflectance 1 that faces the projector in
+    /// the centre of the field, uniformly lit; contrast is already applied to the fringes.
     pub light: Lanes,
 }
 
-/// A core that sees nothing.
+/// A core without light.
 const DARK: CoreView = CoreView {
     truth: None,
     light: [0.0; LANES],
@@ -145,7 +145,7 @@ impl Stage<'_> {
     ) -> Vec<CoreView> {
         let eye = tool_from_camera * Point3::origin();
         if self.die.encloses_eye(self.rays, eye) {
-            // The head has been driven into the die.
+            // The head is inside the die.
             return self.sights.iter().map(|_| DARK).collect();
         }
         let emission = &emission(self.optics, self.projector_bundle, frequencies, self.pass);
@@ -162,7 +162,7 @@ impl Stage<'_> {
         views
     }
 
-    /// Adds the light that comes over other places of the die.
+    /// Adds the light reflected by other parts of the die.
     fn add_indirect(
         &self,
         views: &mut [CoreView],
@@ -224,7 +224,7 @@ impl Stage<'_> {
         let normal = match hit.normal.dot(&along) {
             facing if facing < 0.0 => hit.normal,
             away if away > 0.0 && self.die.has_no_winding() => -hit.normal,
-            // Seen from inside the material: the head has been driven into the die.
+            // Seen from inside the material: the head has collided with the die.
             _ => return DARK,
         };
         let point = eye + hit.distance * along;
@@ -237,7 +237,7 @@ impl Stage<'_> {
         let to_lamp = lamp - point;
         let faces_lamp = normal.dot(&to_lamp) > 0.0;
         let lighted = projector_reaches(self.optics, self.projector_bundle, projector_px);
-        // Just outside the lighted field blur still brings some light; in shadow there is none.
+        // Just outside the lighted field, blur still contributes some light; in shadow there is none.
         let unshaded = faces_lamp && !self.rays.blocked(point + START_MM * normal, lamp);
         let lit = unshaded && lighted;
         let flank = self.die.flank_at(hit.triangle, point, normal);
@@ -280,7 +280,7 @@ impl Stage<'_> {
         }
     }
 
-    /// Reflectance of what is printed at a point, relative to none.
+    /// Reflectance of the print at a point, relative to the unprinted surface.
     fn printed(&self, triangle: usize, point: Point3<f64>, p_camera: Point3<f64>) -> f64 {
         let Some(print) = self.print else { return 1.0 };
         let objective = &self.optics.camera_objective;
@@ -293,8 +293,8 @@ impl Stage<'_> {
         )
     }
 
-    /// Covariance on the DMD of the light that one camera core collects: the projector's blur, and the core's own blurred
-    /// footprint carried over the tangent plane of the surface, px².
+    /// Covariance on the DMD of the light that one camera core collects: the projector's blur, plus the core's blurred footprint
+    /// projected by the tangent plane of the surface, px².
     fn blur_px2(
         &self,
         sight: &Sight,
@@ -308,7 +308,7 @@ impl Stage<'_> {
         let sharp = self.optics.projector_objective.sigma_pitch(p_projector) * projector_pitch;
         let own = Matrix2::identity() * (sharp * sharp);
 
-        // One pixel aside in the image, on the tangent plane.
+        // Displacement on the tangent plane for one pixel in the image.
         let aside = |change: Vector3<f64>| {
             let receding = normal_camera.dot(&change) / normal_camera.dot(&sight.direction);
             let moved = p_camera + distance * (change - receding * sight.direction);
@@ -353,7 +353,7 @@ impl Stage<'_> {
                 }
             }
         }
-        // An evenly lit perfect lattice sums to 1: integral of the cut Gaussian over the area of a core's cell.
+        // Normalised to 1 for a uniform perfect lattice: integral of the truncated Gaussian over the area of a core's cell.
         let pitch = self.projector_bundle.spec().pitch_px();
         let cell_px2 = 0.5 * 3f64.sqrt() * pitch * pitch;
         let integral = std::f64::consts::TAU
@@ -364,7 +364,7 @@ impl Stage<'_> {
     }
 }
 
-/// Frequencies of a pattern set, each once, in order of appearance.
+/// Frequencies of a pattern set without duplicates, in order of appearance.
 pub(crate) fn frequencies(patterns: &[PatternSpec]) -> Vec<f64> {
     let mut distinct: Vec<f64> = Vec::new();
     for pattern in patterns {
@@ -375,16 +375,16 @@ pub(crate) fn frequencies(patterns: &[PatternSpec]) -> Vec<f64> {
     distinct
 }
 
-/// What motion does to the fringes of one frame.
+/// Effect of motion on the fringes of one frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Moved {
-    /// How far it moves them.
+    /// Phase shift.
     pub shift_rad: f64,
-    /// What it leaves of their contrast.
+    /// Remaining fraction of the contrast.
     pub kept: f64,
 }
 
-/// Brightness of one pattern from the lanes of a core: half its even light, and half its fringe moved by the step.
+/// Brightness of one pattern from the lanes of a core: half its uniform light, and half its fringe shifted by the step.
 pub(crate) fn brightness(
     lanes: &Lanes,
     pattern: &PatternSpec,
@@ -397,7 +397,7 @@ pub(crate) fn brightness(
             let (sin, cos) = ((moved.kept * sin) as f32, (moved.kept * cos) as f32);
             0.5 * (lanes[0] + cos * lanes[1 + 2 * i] - sin * lanes[2 + 2 * i])
         }
-        // Evenly lit: the cosine of the step alone.
+        // Uniform pattern: the cosine of the step alone.
         None => 0.5 * lanes[0] * (1.0 + cos as f32),
     }
 }
@@ -470,7 +470,7 @@ mod tests {
         println!("even {even:?} coarse {coarse:?} fine {fine}");
         assert!((even[0] / even[1] - 1.0).abs() < 0.03, "{even:?}");
         assert!(coarse[0] < 0.1 * coarse[1], "{coarse:?}");
-        // By so many rad the phase of the fine fringes errs on half of the cores: a two hundredth of a fringe.
+        // Median phase error of the fine fringes: one two-hundredth of a fringe.
         assert!(fine < std::f64::consts::TAU / 200.0, "{fine}");
     }
 }

@@ -1,4 +1,4 @@
-//! From light per core to counts per pixel, with the noise of a camera.
+//! Converts light per core to counts per pixel, with the noise of a camera.
 
 use super::WorldError;
 use super::bundle::Bundle;
@@ -12,7 +12,7 @@ use std::ops::Range;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorSpec {
-    /// Charge at which a pixel is full, e⁻.
+    /// Full-well charge of a pixel, e⁻.
     pub full_well_e: f64,
     /// Read noise, e⁻.
     pub read_noise_e: f64,
@@ -20,21 +20,21 @@ pub struct SensorSpec {
     pub offset_dn: f64,
     /// Bits per pixel.
     pub bits: u32,
-    /// Spread of the pixels' response, fixed.
+    /// Fixed relative spread of the pixels' response (PRNU).
     pub prnu_ratio: f64,
-    /// Spread of the lamp from frame to frame, common to all pixels.
+    /// Relative spread of the lamp from frame to frame, common to all pixels.
     pub lamp_noise_ratio: f64,
     /// Standard deviation of one core's image, px.
     pub core_sigma_px: f64,
-    /// Charge per mean pixel and millisecond in the middle of the field on a plane of reflectance 0.3 that faces the
-    /// projector, all mirrors half on, e⁻.
+    /// Charge per mean pixel and millisecond in the centre of the field on a plane of reflectance 0.3 that faces the projector,
+    /// all mirrors half on, e⁻.
     pub rate_e_per_ms: f64,
-    /// Spread of the exponent with which a core's light answers to light; 0 is a linear bundle.
+    /// Spread of the exponent of the cores' response to light; 0 is a linear bundle.
     pub core_exponent_spread: f64,
 }
 
 impl SensorSpec {
-    /// Electrons per count: the full well over the number of codes.
+    /// Electrons per count: full well divided by the number of codes.
     pub fn gain_e_per_dn(&self) -> f64 {
         self.full_well_e / f64::from(1u32 << self.bits)
     }
@@ -57,19 +57,19 @@ impl SensorSpec {
     }
 }
 
-/// A row's pixels that see the bundle.
+/// The pixels of a row that see the bundle.
 #[derive(Clone, Debug)]
 struct Span {
     row: usize,
     columns: Range<usize>,
-    /// First of its pixels in the order of all spans.
+    /// Index of its first pixel in the order of all spans.
     first: usize,
 }
 
-/// Patterns summed in one go: their weights are read once.
+/// Patterns summed in one pass, so that their weights are read only once.
 const BLOCK: usize = 8;
 
-/// Which cores each pixel sees, how strongly it answers, and the noise tables.
+/// Cores that each pixel sees, its response, and the noise tables.
 pub(crate) struct Sensor {
     spec: SensorSpec,
     size_px: [usize; 2],
@@ -83,7 +83,7 @@ pub(crate) struct Sensor {
 
 /// Cores that the pixels of the spans see.
 struct Seen {
-    /// First weight of each pixel, and the total as a last entry.
+    /// Index of the first weight of each pixel; the last entry is the total.
     starts: Vec<u32>,
     cores: Vec<u32>,
     weights: Vec<f32>,
@@ -102,7 +102,7 @@ impl Rates {
     }
 }
 
-/// Length of the noise tables; a prime, so that rows of any image width do not fall in step with it.
+/// Length of the noise tables; a prime, so that it shares no period with the rows of any image width.
 const NOISE_TABLE: usize = 1_048_583;
 
 impl Sensor {
@@ -142,12 +142,12 @@ impl Sensor {
         }
     }
 
-    /// Moves the cores' image along the rows; every pixel keeps its own response.
+    /// Shifts the cores' image along the rows; every pixel keeps its own response.
     pub(crate) fn shift(&mut self, bundle: &Bundle, shift_px: f64) {
         (_, self.seen) = seen(&self.spec, self.size_px, bundle, shift_px);
     }
 
-    /// Spreads light per core (e⁻/ms per mean pixel, core by core, one entry per pattern) over the pixels.
+    /// Distributes light per core (e⁻/ms per mean pixel, core by core, one entry per pattern) over the pixels.
     pub(crate) fn expose(&self, per_core: &[Vec<f32>]) -> Rates {
         let patterns = per_core.len();
         let cores = per_core.first().map_or(0, Vec::len);
@@ -195,7 +195,7 @@ impl Sensor {
         Rates { values, patterns }
     }
 
-    /// The light of these patterns at once, as the only one.
+    /// The sum of the light of these patterns, as the only pattern.
     pub(crate) fn together(&self, rates: &Rates, lit: &[usize]) -> Rates {
         let of_span = |span: &Span| {
             let length = span.columns.len();
@@ -281,13 +281,13 @@ impl Counts {
 struct RowWeights {
     row: usize,
     columns: Range<usize>,
-    /// End of each pixel's weights.
+    /// Index after each pixel's last weight.
     ends: Vec<u32>,
     cores: Vec<u32>,
     weights: Vec<f32>,
 }
 
-/// The pixels that see the bundle, wherever it has moved to, and which of its cores they see.
+/// The pixels that see the bundle after its shift, and the cores that they see.
 fn seen(
     spec: &SensorSpec,
     size_px: [usize; 2],
@@ -336,7 +336,7 @@ fn row_weights(
     if columns.is_empty() {
         return None;
     }
-    // A core's light spreads over a cell of the lattice: rates are per mean pixel.
+    // A core's light is spread over a cell of the lattice: rates are per mean pixel.
     let pitch = bundle.spec().pitch_px();
     let variance = spec.core_sigma_px * spec.core_sigma_px;
     let peak = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * variance);

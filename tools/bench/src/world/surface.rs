@@ -1,19 +1,19 @@
-//! How the die's surface sends light back: matt spray, bare steel, steel under oil, and not the same everywhere.
+//! Reflection by the die's surface: matt spray, bare steel, steel under oil, with local variation.
 
 use super::random::hash;
 use super::{WorldError, microfacet};
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::PI;
 
-/// Diffuse share of a matt sprayed surface, to which highlights are compared.
+/// Diffuse reflectance of a matt sprayed surface, the reference for highlights.
 pub(crate) const SPRAYED_RATIO: f64 = 0.3;
 
 /// Reflectance of the die.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
-    /// Share of light that comes back diffusely.
+    /// Fraction of light that is reflected diffusely.
     pub diffuse_ratio: f64,
-    /// Standard deviation of the diffuse share over the surface, relative.
+    /// Relative standard deviation of the diffuse reflectance over the surface.
     pub roughness_ratio: f64,
     /// Size of the patches in which it varies, mm.
     pub grain_mm: f64,
@@ -21,18 +21,18 @@ pub struct Surface {
     pub gloss_ratio: f64,
     /// Sharpness of the highlight: exponent of the cosine between normal and bisector (Blinn 1977).
     pub gloss_exponent: f64,
-    /// Bare metal beside that.
+    /// Bare metal in addition.
     pub metal: Option<Metal>,
-    /// A film over all of it.
+    /// A film of oil on all of it.
     pub oil: Option<Oil>,
 }
 
-/// Metal made rough by a tool: tiny mirrors.
+/// Metal roughened by a tool, modelled by microfacets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metal {
-    /// Share of the surface that is bare.
+    /// Fraction of the surface that is bare.
     pub share: f64,
-    /// Roughness (Walter et al. 2007): slope of the mirrors.
+    /// Roughness (Walter et al. 2007): slope of the microfacets.
     pub alpha: f64,
     /// Real part of the index of refraction.
     pub eta: f64,
@@ -40,44 +40,44 @@ pub struct Metal {
     pub k: f64,
 }
 
-/// A clear film: it reflects by itself, and bends the light on its way to the metal and back.
+/// A transparent film, which reflects, and refracts the light on its way to the metal and back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Oil {
     /// Index of refraction.
     pub index: f64,
-    /// Roughness of its surface: how it waves.
+    /// Roughness of its surface, due to waves.
     pub alpha: f64,
 }
 
-/// Where sprayed turns to bare.
+/// Edge between sprayed and bare surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SprayEdge {
     /// The die is sprayed above this height, mm in the tool frame.
     pub above_mm: f64,
-    /// How far the edge runs up and down, standard deviation in mm.
+    /// Raggedness of the edge's height, standard deviation in mm.
     pub ragged_mm: f64,
 }
 
-/// Index of steel at 530 nm, about.
+/// Refractive index of steel at about 530 nm.
 const STEEL: (f64, f64) = (2.4, 3.4);
-/// Size of the lobes of a spray's edge, mm.
+/// Size of the irregularities of a spray's edge, mm.
 const SPRAY_LOBE_MM: f64 = 0.3;
-/// Seen from outside, a film makes the lobe of the metal below it this much wider: roughly its index.
+/// Factor by which a film widens the reflection lobe of the metal below it: approximately its index.
 const WIDENED: f64 = 1.4;
 
-/// A direction that light to an eye may have come from.
+/// A direction from which light is reflected to an eye.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scattered {
     /// Unit vector away from the surface.
     pub towards: Vector3<f64>,
-    /// Share of the light from there that counts, such that the mean over draws is all the light.
+    /// Weight of the light from there, such that the mean over draws is the total light.
     pub weight: f64,
-    /// How many draws in one go that way, per steradian.
+    /// Probability density of this direction, per steradian.
     pub density_per_sr: f64,
 }
 
 impl Surface {
-    /// Matt spray: what a metrologist puts on the tool.
+    /// Matt spray, as metrologists apply it to a tool.
     pub fn sprayed() -> Self {
         Self {
             diffuse_ratio: SPRAYED_RATIO,
@@ -90,7 +90,7 @@ impl Surface {
         }
     }
 
-    /// Ground tool steel: mostly a lobe of 0.3, a little diffuse.
+    /// Ground tool steel: mainly a lobe of roughness 0.3, and a little diffuse reflection.
     pub fn ground() -> Self {
         Self {
             diffuse_ratio: 0.15 * 0.3,
@@ -108,7 +108,7 @@ impl Surface {
         }
     }
 
-    /// Smoother steel, as years in a press leave it: a lobe of 0.15 alone.
+    /// Smoother steel, as after years in a press: a lobe of roughness 0.15 alone.
     pub fn polished() -> Self {
         Self {
             diffuse_ratio: 0.0,
@@ -134,8 +134,8 @@ impl Surface {
         }
     }
 
-    /// Light towards the eye per light that would fall on a plane facing the lamp: π times the bidirectional reflectance and
-    /// the cosine of incidence. All directions are unit vectors away from the surface.
+    /// Light towards the eye relative to the light on a plane facing the lamp: π times the bidirectional reflectance and the
+    /// cosine of incidence. All directions are unit vectors away from the surface.
     pub(crate) fn returned(
         &self,
         seed: u64,
@@ -152,7 +152,7 @@ impl Surface {
         let Some(oil) = &self.oil else {
             return self.reflectance(seed, p_tool, normal, lamp, eye) * incidence;
         };
-        // What the film throws back a second time from inside is left out: the model loses that light, it never gains any.
+        // Light that the film reflects back to the metal from inside is neglected: the model loses this light and never gains any.
         let passed = [incidence, seen].map(|cos| 1.0 - microfacet::clear(cos, oil.index));
         let [lamp_inside, eye_inside] =
             [lamp, eye].map(|way| microfacet::refracted(&way, &normal, oil.index));
@@ -181,7 +181,7 @@ impl Surface {
         } else {
             0.0
         };
-        // Three standard deviations at most: no patch turns black or doubles.
+        // Limited to three standard deviations, so that no patch is black or twice as bright.
         let patch = if self.roughness_ratio > 0.0 {
             1.0 + self.roughness_ratio * grain(seed, p_tool.coords / self.grain_mm).clamp(-3.0, 3.0)
         } else {
@@ -196,7 +196,7 @@ impl Surface {
         dull + metal.share * fresnel * microfacet::mirrors(metal.alpha, &normal, &bisector, cosines)
     }
 
-    /// Where light to the eye may have come from: a direction drawn from three uniform numbers. None below the surface.
+    /// A random direction from which light is reflected to the eye, from three uniform numbers. `None` below the surface.
     pub(crate) fn scattered(
         &self,
         seed: u64,
@@ -242,7 +242,7 @@ impl Surface {
         })
     }
 
-    /// Shares of the draws, and what they follow: the cosine, or mirrors of a roughness. The first is never empty without metal.
+    /// Fractions of the draws, and their distributions: cosine, or microfacets of a roughness. The first is never empty without metal.
     fn lobes(&self) -> [(f64, Option<f64>); 3] {
         let Some(metal) = &self.metal else {
             return [(1.0, None), (0.0, None), (0.0, None)];
@@ -280,7 +280,7 @@ impl Surface {
     }
 }
 
-/// The surface of a die that may be sprayed in part.
+/// The surface of a die, which may be sprayed in part.
 #[derive(Clone, Debug)]
 pub(crate) struct Finish {
     bare: Surface,
@@ -308,7 +308,7 @@ impl Finish {
         })
     }
 
-    /// The surface at a place.
+    /// The surface at a position.
     fn at(&self, p_tool: Point3<f64>) -> &Surface {
         let sprayed = self.edge.is_some_and(|edge| {
             let off = grain(self.seed, p_tool.coords / SPRAY_LOBE_MM).clamp(-3.0, 3.0);
@@ -342,7 +342,7 @@ impl Finish {
     }
 }
 
-/// Smooth noise of unit variance over space: random values on a lattice, blended between.
+/// Smooth noise of unit variance in space: random values on a lattice, interpolated.
 fn grain(seed: u64, p: Vector3<f64>) -> f64 {
     let cell = p.map(f64::floor);
     let s = (p - cell).map(|t| t * t * (3.0 - 2.0 * t));
@@ -393,7 +393,7 @@ mod tests {
         Vector3::new(sin * phi.cos(), sin * phi.sin(), cos)
     }
 
-    /// All that comes back to the eye from an evenly bright sky, by brute force over the hemisphere.
+    /// Total reflection to the eye from a uniformly bright sky, by integration over the hemisphere.
     fn albedo(surface: &Surface, eye: Vector3<f64>) -> f64 {
         let steps = 600;
         let mut sum = 0.0;
@@ -420,7 +420,7 @@ mod tests {
                 if name == "matt" {
                     assert!((all - SPRAYED_RATIO).abs() < 1e-4);
                 }
-                // Van der Corput in three bases: no random numbers needed.
+                // Van der Corput sequences in three bases replace random numbers.
                 let count = 60_000u32;
                 let radical = |mut i: u32, base: u32| {
                     let (mut value, mut digit) = (0.0, 1.0 / f64::from(base));
@@ -449,7 +449,7 @@ mod tests {
 
     #[test]
     fn mirrors_that_absorb_nothing_lose_only_what_they_shade() {
-        // A conductor that is as good as perfect. One bounce of a rough face loses some light between its mirrors, a smooth one none.
+        // A nearly perfect conductor. A single reflection of a rough face loses some light between its microfacets, a smooth one none.
         let white = |alpha| Surface {
             diffuse_ratio: 0.0,
             metal: Some(Metal {

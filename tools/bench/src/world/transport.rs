@@ -1,8 +1,8 @@
-//! Light on its way from the lamp over the die to an eye: straight, and over other places of the die.
+//! Light from the lamp to an eye by the die: directly, and with further reflections at other parts of the die.
 //!
-//! The light over other places is followed backwards (path tracing, Kajiya 1986): from a point that an eye sees, directions are
-//! drawn as its surface scatters, and wherever they meet the die, what the lamp sends there is counted. All frequencies and the
-//! even light are carried at once, because light is linear: one tracing serves all frames of a view.
+//! Further reflections are followed backwards (path tracing, Kajiya 1986): from a point that an eye sees, directions are drawn by
+//! its scattering distribution, and where they hit the die, the light of the lamp is added. All frequencies and the uniform light
+//! are carried at once, because light is linear: one tracing serves all frames of a view.
 
 use super::lamp::{Lamp, Patch};
 use super::rays::RayCaster;
@@ -11,13 +11,14 @@ use super::surface::{Finish, Scattered};
 use nalgebra::{Point3, Vector3};
 use rand::RngExt;
 
-/// A ray starts this far off the surface, mm: more than rounding, less than any feature.
+/// Offset of a ray's start from the surface, mm: more than rounding errors, less than any feature.
 pub(crate) const START_MM: f64 = 5e-4;
 
-/// Standard deviation of a Gaussian, in sides of the square that it stands for, that leaves fringes a side wide a hundredth.
+/// Standard deviation of a Gaussian relative to the side of the square that it represents; fringes with a period of one side are
+/// reduced to one hundredth.
 const SIGMA_PER_SIDE: f64 = 0.5;
 
-/// A place of the die and the direction that it is looked at from.
+/// A point of the die, and the direction to the eye.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
     pub point: Point3<f64>,
@@ -27,23 +28,23 @@ pub(crate) struct Spot {
     pub eye: Vector3<f64>,
 }
 
-/// The die as light meets it.
+/// The die's surface for light transport.
 pub(crate) struct Transport<'a> {
     pub rays: &'a RayCaster,
     pub finish: &'a Finish,
-    /// The die's triangles do not say on which side the material is: both sides reflect.
+    /// Whether both sides of triangles reflect, because their orientation does not show the side of the material.
     pub either_side: bool,
-    /// Most places that light may touch; 1 is direct light alone.
+    /// Largest number of reflections; 1 is direct light alone.
     pub bounces: u32,
 }
 
 impl Transport<'_> {
-    /// Light straight from the lamp that a spot sends to its eye.
+    /// Light directly from the lamp that a spot reflects to its eye.
     pub(crate) fn direct(&self, lamp: &impl Lamp, at: &Spot) -> Option<Lanes> {
         self.direct_about(lamp, at, 0.0)
     }
 
-    /// The same, the fringes' mean over a patch about the spot.
+    /// The same light, with the fringes averaged over a patch about the spot.
     fn direct_about(&self, lamp: &impl Lamp, at: &Spot, sigma_mm: f64) -> Option<Lanes> {
         let to_lamp = lamp.position() - at.point;
         if at.normal.dot(&to_lamp) <= 0.0 {
@@ -64,7 +65,7 @@ impl Transport<'_> {
         Some(arriving.map(|lane| lane * returned))
     }
 
-    /// Light over at least one other place that a spot sends to its eye: the mean of `paths` ways.
+    /// Light with at least one further reflection that a spot reflects to its eye: the mean of `paths` light paths.
     pub(crate) fn indirect(
         &self,
         lamp: &impl Lamp,
@@ -75,7 +76,7 @@ impl Transport<'_> {
         let mut sum = [0f64; LANES];
         if self.bounces > 1 {
             let turn = std::array::from_fn(|_| random.random());
-            // First directions spread evenly over the lobes, turned anew for each spot.
+            // First directions are spread evenly over the lobes, with another rotation for each spot.
             for first in spread(turn).take(paths as usize) {
                 self.follow(lamp, *at, first, f64::from(paths), random, &mut sum);
             }
@@ -83,10 +84,11 @@ impl Transport<'_> {
         sum.map(|lane| (lane / f64::from(paths.max(1))) as f32)
     }
 
-    /// One way of `ways`, by three uniform numbers for its first direction: adds what it brings over other places.
+    /// Follows one of `ways` light paths, with three uniform numbers for its first direction, and adds its reflected light.
     ///
-    /// Fringes are finer than what lies between two ways, and single ones would stay where the mean of many washes out. So
-    /// each way brings the mean over the patch of a face that it stands for (path differentials: Suykens and Willems 2001).
+    /// Fringes are finer than the distance between two paths, so those of single paths would remain where the mean of many washes
+    /// out. Each path therefore uses the mean over the patch of a face that it represents (path differentials: Suykens and
+    /// Willems 2001).
     pub(crate) fn follow(
         &self,
         lamp: &impl Lamp,
@@ -97,7 +99,7 @@ impl Transport<'_> {
         sum: &mut [f64; LANES],
     ) {
         let mut share = 1.0;
-        // Squares of how far a way ends beside its neighbour if there were just one of each direction, mm².
+        // Squared distances between the ends of neighbouring paths for one path per direction, mm².
         let mut apart_mm2 = 0.0;
         for touched in 1..self.bounces {
             let draws = if touched == 1 {
@@ -139,7 +141,7 @@ impl Transport<'_> {
     }
 }
 
-/// Endless even sequence over the unit square or cube (Roberts 2018, R2 and R3), shifted by `turn`.
+/// Infinite low-discrepancy sequence over the unit square or cube (Roberts 2018, R2 and R3), shifted by `turn`.
 pub(crate) fn spread<const N: usize>(turn: [f64; N]) -> impl Iterator<Item = [f64; N]> {
     // The root of x^(N+1) = x + 1 above 1.
     let root = (0..40).fold(1.5f64, |root, _| (1.0 + root).powf(1.0 / (N as f64 + 1.0)));
@@ -157,7 +159,7 @@ mod tests {
     use flankscope_gear_cad::Mesh;
     use std::f64::consts::PI;
 
-    /// A lamp that lights what it likes by 1, as seen on the surface, and has one fringe across y.
+    /// A lamp with light 1, measured on the surface, on selected points, and one fringe across y.
     struct Only<F> {
         position: Point3<f64>,
         normal: F,
@@ -206,7 +208,7 @@ mod tests {
         RayCaster::new(&mesh)
     }
 
-    /// A spot at a place, looked at along its normal from the side.
+    /// A spot at a position, seen along the normal from its side.
     fn spot(point: [f64; 3], normal: Vector3<f64>) -> Spot {
         let [along, _] = super::super::microfacet::tangents(&normal);
         Spot {
@@ -228,7 +230,7 @@ mod tests {
         // opposite the corner of a rectangle (B-3)
         let (ax, ay) = ((1.0 + x * x).sqrt(), (1.0 + y * y).sqrt());
         let opposite = (x / ax * (y / ax).atan() + y / ay * (x / ay).atan()) / (2.0 * PI);
-        // and one at the foot of a rectangle's corner that stands square on its plane (B-4): b along the foot, a high, c off.
+        // and one at the foot of a rectangle's corner perpendicular to its plane (B-4): b along the foot, a high, distance c.
         let square = ((b / c).atan() - c / a.hypot(c) * (b / a.hypot(c)).atan()) / (2.0 * PI);
         let walls = [
             // Above, looking down.
@@ -294,7 +296,7 @@ mod tests {
             };
             let at = spot([0.3, 0.6, 0.0], Vector3::z());
             let light = f64::from(indirect(&transport, &lamp, &at, 4_000)[0]);
-            // With evenly lit walls the form factors sum to 1 whatever the shape.
+            // With uniformly lit walls the form factors sum to 1 for any shape.
             let expected: f64 = (2..=bounces).map(|n| 0.7f64.powi(n as i32)).sum();
             assert!(
                 (light - expected).abs() < 1e-3,
@@ -305,7 +307,7 @@ mod tests {
 
     #[test]
     fn steel_is_lit_over_steel_as_by_brute_force() {
-        // Two flanks of a space, 40 degrees apart, the one lit by the lamp.
+        // Two flanks of a tooth space, 40 degrees apart, one lit by the lamp.
         let (sin, cos) = 20f64.to_radians().sin_cos();
         let wall = |side: f64| {
             let up = [side * sin, 0.0, cos];
@@ -314,7 +316,7 @@ mod tests {
             } else {
                 [up, [0.0, 2.0, 0.0]]
             };
-            // Their faces look at each other.
+            // Their faces are opposite each other.
             [[side * 0.2, -1.0, 0.0], second, first]
         };
         let rays = rectangles(&[wall(1.0), wall(-1.0)]);
@@ -330,13 +332,13 @@ mod tests {
                 either_side: false,
                 bounces: 2,
             };
-            // On the left wall, half way up; it faces right and up a little.
+            // On the left wall, halfway up; it faces right and slightly up.
             let normal = Vector3::new(cos, 0.0, sin);
             let point = Point3::new(-0.2 - 0.5 * sin, 0.1, 0.5 * cos);
             let eye = (Point3::new(0.1, -0.5, 6.0) - point).normalize();
             let at = Spot { point, normal, eye };
             let light = indirect(&transport, &lamp, &at, 60_000);
-            // All directions alike, by a fine grid over the hemisphere.
+            // All directions equally, by a fine grid over the hemisphere.
             let steps = 500;
             let [along, across] = super::super::microfacet::tangents(&normal);
             let mut brute = [0.0; 2];

@@ -1,4 +1,4 @@
-//! What a lens does that no drawing shows: light goes a little astray, smoothly but irregularly over the field.
+//! Residual distortion of a lens: smooth but irregular deviations of the light over the field, which no drawing shows.
 
 use std::f64::consts::TAU;
 
@@ -7,28 +7,29 @@ use serde::Deserialize;
 
 use super::random::{Normals, Purpose, stream};
 
-/// Waves that one lens is made of.
+/// Number of waves in one lens.
 const WAVES: usize = 6;
-/// Their lengths over the field's diameter: too short for the distortion's polynomial, as long as polishing and index leave.
+/// Their wavelengths relative to the field's diameter: too short for the distortion's polynomial, as long as polishing and index
+/// errors cause.
 const LENGTHS: [f64; 2] = [0.4, 0.8];
 
-/// Coefficients of a [`Remainder`] along a side.
+/// Number of coefficients of a [`Remainder`] along a side.
 pub const SIDE: usize = 10;
 
 /// A shift of the image over a square of the plane `z = 1`: uniform cubic B-splines along both axes.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Remainder {
-    /// Middle of the square.
+    /// Centre of the square.
     pub centre: [f64; 2],
     /// Half its side.
     pub half_side: f64,
-    /// Shift along the columns; coefficients of the least y first.
+    /// Shift along the columns; coefficients of the smallest y first.
     pub columns_px: [[f64; SIDE]; SIDE],
     /// Shift along the rows.
     pub rows_px: Option<[[f64; SIDE]; SIDE]>,
 }
 
-/// Where light goes astray, over the undistorted image plane `z = 1`.
+/// Deviation of the light over the undistorted image plane `z = 1`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unevenness(Kind);
 
@@ -36,24 +37,24 @@ pub struct Unevenness(Kind);
 enum Kind {
     /// A sum of plane waves.
     Waves(Vec<Wave>),
-    /// What a head's file says, in pixels of these focal lengths.
+    /// As stated in a head file, in pixels of these focal lengths.
     Stated(Box<Remainder>, [f64; 2]),
 }
 
 #[derive(Clone, Debug, PartialEq)]
 struct Wave {
-    /// Phase per unit of x and y.
+    /// Wave vector: phase per unit of x and y.
     number: Vector2<f64>,
     phase_rad: f64,
     shift: Vector2<f64>,
 }
 
 impl Unevenness {
-    /// Drawn from `seed`, different for every `lens`: root mean square `rms` along each axis, in units of the image plane, over
-    /// a field of radius `field`.
+    /// Drawn from `seed`, different for every `lens`: root mean square `rms` along each axis, in units of the image plane, over a
+    /// field of radius `field`.
     pub(crate) fn drawn(seed: u64, lens: u8, rms: f64, field: f64) -> Self {
         let mut random = Normals::new(stream(seed, Purpose::Unevenness(lens)));
-        // Each wave has half the square of its height on average.
+        // The mean square of a wave is half of its squared amplitude.
         let height = rms * (2.0 / WAVES as f64).sqrt();
         let waves = (0..WAVES)
             .map(|_| {
@@ -70,12 +71,12 @@ impl Unevenness {
         Self(Kind::Waves(waves))
     }
 
-    /// The remainder that a head's file states, for a world that is as the file says.
+    /// The residual distortion in a head file, for a world that follows the file.
     pub(crate) fn stated(field: &Remainder, focal_px: [f64; 2]) -> Self {
         Self(Kind::Stated(Box::new(field.clone()), focal_px))
     }
 
-    /// How far light goes astray at a place.
+    /// Deviation at a position.
     pub(crate) fn at(&self, place: Vector2<f64>) -> Vector2<f64> {
         match &self.0 {
             Kind::Waves(waves) => waves
@@ -90,11 +91,10 @@ impl Unevenness {
     }
 }
 
-/// What a head's file says of a place, along columns and rows. Outside of its square, it is what it is at the border.
+/// Shift by a head file at a position, along columns and rows; constant beyond the border of its square.
 fn shift_px(field: &Remainder, place: Vector2<f64>) -> [f64; 2] {
     let pieces = (SIDE - 3) as f64;
-    // How much of each coefficient counts: the cardinal cubic B-spline about its knot, the first of which lies one piece
-    // before the square.
+    // Weights of the coefficients: the cardinal cubic B-spline about its knot, the first of which lies one interval before the square.
     let counts: [[f64; SIDE]; 2] = [0, 1].map(|axis| {
         let along = (place[axis] - field.centre[axis]) / field.half_side;
         let at = (0.5 * (along + 1.0) * pieces).clamp(0.0, pieces);
@@ -128,7 +128,7 @@ fn cubic(from_centre: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Coefficients that are a linear function of their knots give it back, and a single one its spline.
+    /// Coefficients linear in their knots reproduce a linear function, and a single one its spline.
     #[test]
     fn a_stated_shift_is_a_cubic_spline() {
         let mut field = Remainder {
@@ -139,7 +139,7 @@ mod tests {
             }),
             rows_px: None,
         };
-        // Ten pieces per unit; knot 1 stands on the border of the square.
+        // Ten intervals per unit; knot 1 is on the border of the square.
         for [x, y] in [[0.1, -0.2], [-0.2, 0.1], [0.33, -0.51]] {
             let [i, j] = [(x + 0.25) * 10.0 + 1.0, (y + 0.55) * 10.0 + 1.0];
             let [columns, rows] = shift_px(&field, Vector2::new(x, y));
@@ -154,7 +154,7 @@ mod tests {
         assert!((peak - 4.0 / 9.0).abs() < 1e-12, "{peak}");
     }
 
-    /// Over many lenses the mean square is the one asked for: 200 lenses of six waves each, known to 5 %.
+    /// Mean square over 200 lenses of six waves each, known to 5 %, equals the requested value.
     #[test]
     fn as_uneven_as_asked_for() {
         let (mut count, mut squares) = (0.0, 0.0);

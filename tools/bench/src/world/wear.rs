@@ -1,4 +1,4 @@
-//! What the press did to the die: wear on a tooth's flank, and the depth it has at every point.
+//! Damage of the die by the press: wear of a tooth's flank, and its depth at every point.
 
 use flankscope_gear_cad::{Flank, GearSpec};
 use std::f64::consts::PI;
@@ -6,21 +6,21 @@ use std::str::FromStr;
 
 /// Shape of the damage.
 ///
-/// Places are relative to the middle of the flank's profile and of the die's height, where the head looks; what a head sees
-/// of a flank there and judges is taken to be [`VIEW_HALF_MM`] high on either side.
+/// Positions are relative to the middle of the flank's profile and of the die's height, which the head views. The judged part of
+/// a flank is taken to extend [`VIEW_HALF_MM`] to either side in height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WearKind {
-    /// The same depth over the whole flank.
+    /// Constant depth over the whole flank.
     Uniform,
     /// Deepest at the tip edge, fading out over half a millimetre of profile.
     Tip,
     /// One local pit of 1 mm² at half height in the middle of the profile.
     Pit,
-    /// Material of the workpiece stuck on a patch at half height in the middle of the profile.
+    /// Workpiece material adhering to a patch at half height in the middle of the profile.
     Buildup,
     /// Everything above half height, with a slope 0.2 mm wide between sound and worn.
     Half,
-    /// Rising evenly from nothing at half height to the full depth 4 mm above; full from there on.
+    /// Rises linearly from zero at half height to the full depth 4 mm above; constant from there on.
     Ramp,
     /// Worn from an entry edge 4 mm above half height: falls by a factor of e every 2 mm downwards, full above.
     Edge,
@@ -30,13 +30,13 @@ pub enum WearKind {
     ScratchAlong,
     /// A groove 0.3 mm wide across the whole profile, round at the bottom.
     ScratchAcross,
-    /// A bowl of 1.2 mm diameter in a wall of material thrown up, a quarter as high as the bowl is deep.
+    /// A bowl of 1.2 mm diameter with a raised wall, a quarter as high as the bowl is deep.
     Crater,
     /// A gap 0.1 mm wide at its mouth, sharp at its bottom, and 3 mm long along the height.
     Crack,
-    /// The same depth over this flank of every tooth.
+    /// Constant depth over this flank of every tooth.
     Side,
-    /// The same depth over the whole toothing: both flanks of every tooth and the lands between them.
+    /// Constant depth over the whole toothing: both flanks of every tooth and the lands between them.
     Ring,
 }
 
@@ -77,14 +77,14 @@ pub struct Wear {
     pub kind: WearKind,
 }
 
-/// Deepest damage that the model describes: beyond it flanks of neighbouring features would meet.
+/// Deepest damage that the model describes: with more, neighbouring features would meet.
 pub const MAX_DEPTH_UM: f64 = 300.0;
 
-/// Why a text describes no wear, or not one of this gear.
+/// Why a text does not describe wear, or not of this gear.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WearError {
-    /// Too few or too many parts.
+    /// The number of parts is wrong.
     #[error(
         "wear \"{text}\" has {parts} parts; write TOOTH:FLANK:DEPTH_UM or TOOTH:FLANK:DEPTH_UM:KIND, e.g. 12:left:80"
     )]
@@ -100,7 +100,7 @@ pub enum WearError {
         /// The part at fault.
         got: String,
     },
-    /// The flank has no such name.
+    /// The flank's name is unknown.
     #[error("flank \"{got}\" is unknown; left (l) or right (r) are possible")]
     Flank {
         /// The part at fault.
@@ -116,7 +116,7 @@ pub enum WearError {
         /// Largest, µm.
         max_um: f64,
     },
-    /// The kind has no such name.
+    /// The kind's name is unknown.
     #[error("kind \"{got}\" is unknown; possible are {}", WearKind::names())]
     Kind {
         /// The part at fault.
@@ -125,9 +125,9 @@ pub enum WearError {
     /// The gear has fewer teeth.
     #[error("tooth {got} does not exist; this gear has teeth 1 to {teeth}")]
     NoSuchTooth {
-        /// Tooth asked for.
+        /// Requested tooth.
         got: u32,
-        /// Teeth there are.
+        /// Number of teeth.
         teeth: u32,
     },
 }
@@ -208,14 +208,14 @@ pub struct WearField {
     wear: Vec<Wear>,
 }
 
-/// Half the height of what a head sees of a flank and judges, mm.
+/// Half the height of the part of a flank that a head sees and judges, mm.
 pub const VIEW_HALF_MM: f64 = 4.0;
 
 /// Longest edge of the mesh where wear varies, mm: a pit of 1 mm² and 80 µm is then nowhere 0.2 µm shallower than its shape.
 const WORN_EDGE_MM: f64 = 0.035;
-/// The same where it varies slowly, as wear from an edge does, mm: a chord over it sags by 0.1² / 8 of 0.3 / 2², 0.1 µm.
+/// Longest edge where wear varies slowly, as at an edge, mm: the chord error is 0.1² / 8 of 0.3 / 2², 0.1 µm.
 const SLOW_EDGE_MM: f64 = 0.1;
-/// The same in a crack, mm: an eighth of its width.
+/// Longest edge in a crack, mm: an eighth of its width.
 const CRACK_EDGE_MM: f64 = 0.0125;
 /// Length of profile over which tip rounding fades, mm.
 const TIP_FADE_MM: f64 = 0.5;
@@ -227,7 +227,7 @@ const BUILDUP_AREA_MM2: f64 = 2.0;
 const HALF_SLOPE_MM: f64 = 0.2;
 /// Length over which wear from an edge falls by a factor of e, mm.
 const EDGE_DECAY_MM: f64 = 2.0;
-/// Depth that is left of wear from an edge where its mesh is fine no longer: e^-7 of 300 µm is 0.3 µm.
+/// Number of decay lengths after which the mesh at an edge is no longer fine: e^-7 of 300 µm is 0.3 µm.
 const EDGE_DECAYS: f64 = 7.0;
 /// Radius of a spall in the middle of its rim, and the rim's width, mm.
 const SPALL_RADIUS_MM: f64 = 1.05;
@@ -245,7 +245,7 @@ const CRACK_HALF_LENGTH_MM: f64 = 1.5;
 const CRACK_END_MM: f64 = 0.1;
 
 impl WearField {
-    /// All of `wear` on `gear`.
+    /// The wear field of `wear` on `gear`.
     pub fn new(gear: &GearSpec, wear: &[Wear]) -> Result<Self, WearError> {
         for one in wear {
             if one.tooth == 0 || one.tooth > gear.teeth {
@@ -277,7 +277,7 @@ impl WearField {
         &self.gear
     }
 
-    /// Flanks that carry any wear, each once.
+    /// Flanks with wear, without duplicates.
     pub fn worn_flanks(&self) -> Vec<FlankId> {
         let mut ids: Vec<FlankId> = Vec::new();
         for one in &self.wear {
@@ -298,7 +298,7 @@ impl WearField {
         ids
     }
 
-    /// Depth that the whole toothing lost, mm: part of [`Self::depth_mm`] on every flank.
+    /// Uniform loss of the whole toothing, mm: included in [`Self::depth_mm`] on every flank.
     pub fn ring_mm(&self) -> f64 {
         self.wear
             .iter()
@@ -307,8 +307,7 @@ impl WearField {
             .sum()
     }
 
-    /// Depth of material lost along the normal, mm (negative: material gained), where the nominal flank has this radius
-    /// and height.
+    /// Loss along the normal, mm (negative: material gained), at this radius and height of the nominal flank.
     pub fn depth_mm(&self, id: FlankId, radius_mm: f64, height_mm: f64) -> f64 {
         let at = self.profile_mm(radius_mm);
         self.on(id)
@@ -316,7 +315,7 @@ impl WearField {
             .sum()
     }
 
-    /// Where the depth on a flank is not the same everywhere: a mesh must be fine there.
+    /// Zones of a flank in which the depth varies, so that the mesh must be fine.
     pub fn varying_zones(&self, id: FlankId) -> Vec<FlankZone> {
         self.on(id).flat_map(|w| self.varying(w.kind)).collect()
     }
@@ -337,7 +336,7 @@ impl WearField {
                 [height - reach, height + reach],
             )]
         };
-        // A fold across the profile: within an edge's length of it the mesh follows.
+        // A fold across the profile: the mesh is fine within an edge's length of it.
         let fold = |at: f64| {
             let near = [at - WORN_EDGE_MM, at + WORN_EDGE_MM];
             zone(whole_profile, near.map(|above| height + above))

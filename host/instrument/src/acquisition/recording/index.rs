@@ -1,5 +1,5 @@
-//! The index of a recorded folder, of frames or of clouds, and `frames.toml`: where the stages stood for each view of a folder of
-//! recorded frames, and which images it has.
+//! The index of a recorded folder of frames or clouds, and `frames.toml`: the stage position of each view of a folder of recorded
+//! frames, and its images.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -11,22 +11,22 @@ use serde::{Deserialize, Serialize};
 
 /// An index in TOML, with a table `[[view]]` for each view.
 pub trait RecordedIndex: DeserializeOwned {
-    /// Its name in the folder.
+    /// File name in the folder.
     const FILE: &'static str;
 
-    /// Where the stages stood for each view, in the order in which they were taken, and what else is checked of every view.
+    /// Stage position and further checked entries of each view, in the order in which they were captured.
     fn places(&self) -> Vec<IndexedView>;
 
-    /// Checks what only this index says.
+    /// Checks the entries that only this kind of index has.
     ///
     /// # Errors
-    /// The first value that cannot be.
+    /// The first value out of range.
     fn check(&self) -> Result<(), BadValue>;
 
-    /// Reads a folder's index. Returns its text too, which tells this recording from others.
+    /// Reads a folder's index. Also returns its text, whose digest identifies the recording.
     ///
     /// # Errors
-    /// [`TextFileError`] with file, line and what would be right.
+    /// [`TextFileError`] with file, line and the expected value.
     fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
         let check = |index: &Self| {
             let places = index.places();
@@ -43,70 +43,70 @@ pub trait RecordedIndex: DeserializeOwned {
     }
 }
 
-/// The index of a folder of frames. All paths named are relative to it, or absolute.
+/// The index of a folder of frames. Paths are absolute or relative to the index.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameIndex {
-    /// Whether no real die was looked at: rendered, or from the simulated bench.
+    /// Whether the frames show no real die: they were rendered, or come from the simulated bench.
     pub simulated: bool,
     /// Day on which the frames were taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taken: Option<Date>,
-    /// Patterns and exposures of every view, as `decode` takes them.
+    /// Plan file with the patterns and exposures of every view, as `decode` takes it.
     #[serde(default = "default_plan")]
     pub plan: PathBuf,
-    /// The head that looked.
+    /// Head file of the head that captured the frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub head: Option<PathBuf>,
-    /// Table that says where the camera stood, instead of the stages.
+    /// Table of camera poses, if these do not follow from the stages.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poses: Option<PathBuf>,
-    /// What the views' folders are in; without it, the index's own folder.
+    /// Folder that holds the folders of the views; by default the index's own folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub images: Option<PathBuf>,
-    /// Teeth that were to be checked; without it, those of the views.
+    /// Teeth that the check had to measure; by default those of the views.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub teeth: Option<Vec<u32>>,
-    /// Grid of the scan that the views are of, as `scan --views` takes it; without it, a scan is of these views.
+    /// Grid of the scan that the views belong to, as `scan --views` takes it; by default the scan consists of these views.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub grid: Option<String>,
-    /// Cycles of the press, by the controller's counter.
+    /// Press cycles by the controller's counter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub press_cycles: Option<u32>,
-    /// Temperature of the tool.
+    /// Temperature of the tool, °C.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tool_temperature_degc: Option<f64>,
-    /// Share of all mirrors' light that each pass gave, where the patterns were shown in passes.
+    /// Fraction of the light of all mirrors that each pass gave, if the patterns were shown in passes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lit_ratios: Vec<f64>,
-    /// The views, in the order in which they were taken.
+    /// The views, in the order in which they were captured.
     #[serde(default)]
     pub view: Vec<IndexedView>,
 }
 
-/// One view: where the stages stood, and its images.
+/// One view: position of the stages, and its images.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IndexedView {
-    /// Its images; without it, the images' folder itself.
+    /// Folder of its images; by default the images' folder itself.
     #[serde(default = "here")]
     pub folder: PathBuf,
-    /// The tooth in its middle, or the number of the patch that it shows. Without an angle, it is where the drawing has it.
+    /// Tooth in the middle of the view, or number of the patch. Without `rotation_rad`, the angle follows from the drawing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tooth: Option<u32>,
-    /// Angle told to the rotary stage.
+    /// Commanded angle of the rotary stage, rad.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<f64>,
-    /// Height told to the vertical stage; without it, where the tool file has the head look.
+    /// Commanded height of the vertical stage, mm; by default the viewing height in the tool file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vertical_mm: Option<f64>,
-    /// Of every frame in order of capture, start and end of its trigger by the controller's clock.
+    /// Start and end of each frame's trigger by the controller's clock, in order of capture, µs.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub triggered_us: Vec<[u64; 2]>,
-    /// Of every frame in order of capture, start and end of its exposure by the camera's clock.
+    /// Start and end of each frame's exposure by the camera's clock, in order of capture, µs.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub exposed_us: Vec<[u64; 2]>,
-    /// BLAKE3 of every image's file, in order of capture.
+    /// BLAKE3 of each image file, in order of capture.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub blake3: Vec<String>,
 }
@@ -119,9 +119,9 @@ fn here() -> PathBuf {
     ".".into()
 }
 
-/// No stage turns farther, rad.
+/// Largest angle of a rotary stage that is accepted, rad.
 const FARTHEST_RAD: f64 = 1e3;
-/// No stage is longer, mm.
+/// Largest position of a vertical stage that is accepted, mm.
 const LONGEST_MM: f64 = 1e4;
 
 impl RecordedIndex for FrameIndex {
@@ -152,7 +152,7 @@ impl RecordedIndex for FrameIndex {
 }
 
 impl IndexedView {
-    /// Checks what it says; `at` is its place in the index.
+    /// Checks its entries; `at` is its position in the index.
     fn check(&self, at: usize) -> Result<(), BadValue> {
         let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
             Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
@@ -200,7 +200,7 @@ impl IndexedView {
     }
 }
 
-/// Whether a number is one, and not farther from zero.
+/// Whether a value is finite and its magnitude at most `most`.
 fn within(value: f64, most: f64) -> bool {
     (-most..=most).contains(&value)
 }

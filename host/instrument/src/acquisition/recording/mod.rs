@@ -1,12 +1,12 @@
-//! Frames that were recorded before, in the place of a camera: a folder with an index (`frames.toml`), a plan, a head and
-//! images, read into the same sums as frames that come now. Nothing moves, and no other process runs.
+//! Recorded frames in place of a camera: a folder with an index (`frames.toml`), a plan, a head file and images, read into the
+//! same sums as live frames. Nothing moves, and no other process runs.
 //!
 //! | file | holds |
 //! |---|---|
 //! | `index` | `frames.toml` |
 //! | `source` | a folder as a source of frames |
-//! | `playback` | an acquisition that is fed from it |
-//! | `saver` | frames written into such a folder while they come |
+//! | `playback` | an acquisition whose frames come from such a source |
+//! | `saver` | writes such a folder during a capture |
 
 mod index;
 mod playback;
@@ -46,27 +46,27 @@ pub struct Recording {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
-    /// Index or plan.
+    /// Index or plan cannot be read.
     #[error(transparent)]
     File(#[from] TextFileError),
-    /// An image that is not there, or not what plan and head say.
+    /// An image is missing, or differs from plan or head file.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// The index says something of more or fewer frames than the plan has.
+    /// A list in the index has more or fewer entries than the plan has frames.
     #[error("{}: {key} of view {view} has {got} entries, the plan {planned} frames in a view", path.display())]
     Count {
-        /// The index.
+        /// Path of the index.
         path: PathBuf,
-        /// Which list.
+        /// Key of the list.
         key: &'static str,
         /// View, from 1.
         view: usize,
-        /// Its entries.
+        /// Number of entries.
         got: usize,
-        /// Frames of a view.
+        /// Number of frames of a view.
         planned: usize,
     },
-    /// An image elsewhere than in the images' folder.
+    /// An image lies outside the images' folder.
     #[error(
         "{} lies outside {}: the images of a recording are in one folder, which images = \"DIR\" in frames.toml names",
         path.display(),
@@ -78,7 +78,7 @@ pub enum RecordingError {
         /// The images' folder.
         root: PathBuf,
     },
-    /// Fewer bits than the sensor has, or more than the container.
+    /// An image has fewer bits than the sensor, or more than its container.
     #[error("{} has {got} bits, the sensor {bits}: its counts are not the sensor's (counts are not stretched; see [sensor])", path.display())]
     Depth {
         /// The image.
@@ -88,7 +88,7 @@ pub enum RecordingError {
         /// Bits of the sensor.
         bits: u32,
     },
-    /// Nothing known of the counts.
+    /// Neither plan nor head file describes the sensor.
     #[error(
         "neither plan nor head says anything of the sensor: give [sensor] in one of them, a verdict needs its noise"
     )]
@@ -98,10 +98,10 @@ pub enum RecordingError {
 /// The frames of one view.
 #[derive(Clone, Debug)]
 pub struct RecordedView {
-    /// Its place in the index: the order in which views were taken.
+    /// Its position in the index, which is the order in which views were captured.
     pub number: usize,
     images: Vec<(FrameKind, PathBuf)>,
-    /// What the index says beside.
+    /// Its other entries in the index.
     said: IndexedView,
 }
 
@@ -109,7 +109,7 @@ impl Recording {
     /// Reads index and plan of a folder.
     ///
     /// # Errors
-    /// File, line and what would be right.
+    /// File, line and the expected value.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
         let (index, text) = FrameIndex::load(folder)?;
         let plan = Plan::load(&folder.join(&index.plan))?;
@@ -134,14 +134,14 @@ impl Recording {
         Some(self.folder.join(head))
     }
 
-    /// The table that says where the camera stood, if there is one.
+    /// The table of camera poses, if the index names one.
     #[must_use]
     pub fn poses(&self) -> Option<PathBuf> {
         let poses = self.index.poses.as_ref()?;
         Some(self.folder.join(poses))
     }
 
-    /// The sensor that counted, as plan or else head say.
+    /// The sensor that took the frames, from the plan or else from the head file.
     ///
     /// # Errors
     /// [`RecordingError::NoSensor`].
@@ -152,10 +152,10 @@ impl Recording {
             .ok_or(RecordingError::NoSensor)
     }
 
-    /// The images of every view, each of them there, where it may be, and as large and deep as the camera's frames.
+    /// The images of every view; checks that each exists, lies in the images' folder, and has the camera's size and bit depth.
     ///
     /// # Errors
-    /// The first that is not.
+    /// The first image that fails a check.
     pub fn views(&self, head: &HeadModel) -> Result<Vec<RecordedView>, RecordingError> {
         let sensor = self.sensor(head)?;
         let size_px = [head.camera.width_px, head.camera.height_px];
@@ -166,7 +166,7 @@ impl Recording {
         let views = self.index.view.iter().enumerate();
         views
             .map(|(at, said)| {
-                // Without a "." in the middle of every path that is named.
+                // Removes "." components from the middle of the path.
                 let folder: PathBuf = root.join(&said.folder).components().collect();
                 let passes = self.index.lit_ratios.len().max(1);
                 let images = self.plan.frames_of_passes(&folder, passes)?;
@@ -175,7 +175,7 @@ impl Recording {
                     inside(image, &root)?;
                     let header = ImageHeader::read(image)?;
                     header.check(image, size_px)?;
-                    // 12 bits lie in 16 as they are; in 8 they have lost some.
+                    // 12 bits lie unchanged in 16; in 8 bits some are lost.
                     if header.bits < sensor.bits {
                         return Err(RecordingError::Depth {
                             path: image.clone(),
@@ -219,7 +219,7 @@ impl Recording {
     }
 }
 
-/// Whether an image lies below the images' folder, by its name and by where links lead.
+/// Whether an image lies below the images' folder, both by its name and after links are resolved.
 fn inside(image: &Path, root: &Path) -> Result<(), RecordingError> {
     let outside = || RecordingError::Outside {
         path: image.to_owned(),
@@ -242,7 +242,7 @@ fn inside(image: &Path, root: &Path) -> Result<(), RecordingError> {
 }
 
 impl RecordedView {
-    /// Its images, in the order in which they were taken.
+    /// Its images, in the order in which they were captured.
     pub fn images(&self) -> &[(FrameKind, PathBuf)] {
         &self.images
     }
@@ -252,7 +252,7 @@ impl RecordedView {
         self.images.len()
     }
 
-    /// What the controller said when it was recorded; of a recording that does not say, what it must have said.
+    /// The controller's triggers as recorded; if the recording has none, as they follow from the plan.
     fn triggers(&self, session: u32, view: u8, exposures_us: &[u32]) -> Vec<Trigger> {
         let times = self.times(&self.said.triggered_us, exposures_us);
         let frames = self.images.iter().zip(times).enumerate();
@@ -270,7 +270,7 @@ impl RecordedView {
             .collect()
     }
 
-    /// Start and end of every frame, as recorded, or else one right after the other.
+    /// Start and end of every frame, as recorded, or else one right after the other, µs.
     fn times(&self, recorded: &[[u64; 2]], exposures_us: &[u32]) -> Vec<[u64; 2]> {
         if !recorded.is_empty() {
             return recorded.to_vec();
@@ -287,7 +287,7 @@ impl RecordedView {
     }
 }
 
-/// How long a frame of a plan is exposed: the dark one as the shortest.
+/// Exposure time of a frame of a plan, µs; the dark frame has the shortest.
 fn exposure_us(kind: FrameKind, exposures_us: &[u32]) -> u32 {
     let step = kind.exposure().unwrap_or(0);
     exposures_us.get(step).copied().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! An acquisition whose frames come from a folder: from views that were recorded to their outcomes.
+//! An acquisition whose frames come from a folder: from recorded views to their outcomes.
 
 use std::sync::mpsc::{self, Receiver, Sender};
 
@@ -13,7 +13,7 @@ use crate::acquisition::recorder::{Order, Recorded};
 use crate::acquisition::run::Run;
 use crate::acquisition::session::Acquisition;
 
-/// The end at which a source of recorded frames is told what to read.
+/// Sends a source of recorded frames the views that it has to read.
 #[derive(Debug)]
 pub struct Playback {
     next: Sender<Vec<RecordedView>>,
@@ -21,7 +21,7 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// A source of the frames that `decoder` takes, and the end that tells it what to read.
+    /// A source of the frames that `decoder` takes, and the sender of the views to read.
     pub fn new(decoder: &Decoder, exposures_us: &[u32]) -> (Self, FolderSource) {
         let (next, to_read) = mpsc::channel();
         let (found, problems) = mpsc::channel();
@@ -38,10 +38,10 @@ impl Playback {
 }
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Takes the recorded frames of some views through everything that comes after a camera.
+    /// Processes the recorded frames of some views as frames of a camera would be.
     ///
     /// # Errors
-    /// A thread ended early, or frames come from a camera.
+    /// A thread ended early, or this acquisition takes its frames from a camera.
     pub async fn play(
         &mut self,
         run: &mut Run<O>,
@@ -73,7 +73,7 @@ impl<O: Send + 'static> Acquisition<O> {
         if let Err(camera) = self.armed(run).await? {
             tracing::warn!(%camera, "recorded frames");
         }
-        // Everything was exposed long ago.
+        // Recorded frames have all been exposed, so there is nothing to wait for.
         self.order(Order::Close)?;
         let mut closed = false;
         while !closed || run.session.evaluating > 0 {

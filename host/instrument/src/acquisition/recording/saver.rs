@@ -1,4 +1,4 @@
-//! Frames written out of the shared memory while they are summed, for a check of them later.
+//! Writes frames from shared memory to files while they are summed, so that a check can be repeated from them later.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use flankscope_protocol::Trigger;
 use super::index::IndexedView;
 use flankscope_foundation::files;
 
-/// Writes frames into a folder: one below it for each capture of a view, one binary PGM for each frame.
+/// Writes frames into a folder: one subfolder for each capture of a view, one binary PGM for each frame.
 ///
 /// A frame takes 10 ms at 1920 x 1200 pixels, most of it for the digest: less than its readout.
 #[derive(Debug)]
@@ -20,14 +20,14 @@ pub struct Saver {
     file: Vec<u8>,
 }
 
-/// A capture of a view as it lies on the disk.
+/// The files of one capture of a view.
 #[derive(Debug)]
 pub struct SavedCapture {
     folder: PathBuf,
     name: String,
     session: u32,
     exposed_us: Vec<[u64; 2]>,
-    /// The camera says how long.
+    /// Whether the camera measured the exposure times.
     lengths_measured: bool,
     blake3: Vec<String>,
     failed: Option<io::Error>,
@@ -40,14 +40,14 @@ pub struct SavedView {
     pub view: usize,
     /// Session in which it was captured.
     pub session: u32,
-    /// Its part of the index, but for where the stages stood.
+    /// Its entry in the index, without the position of the stages.
     pub index: IndexedView,
-    /// Why its frames are not all there.
+    /// Why not all of its frames were written, if so.
     pub failed: Option<io::Error>,
 }
 
 impl Saver {
-    /// Writes into `folder`, which is there; counts reach up to `full_scale_dn`.
+    /// Writes into the existing `folder`; counts reach up to `full_scale_dn`.
     pub fn new(folder: &Path, full_scale_dn: u16) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -57,7 +57,7 @@ impl Saver {
         }
     }
 
-    /// A folder for the next capture.
+    /// Makes a folder for the next capture.
     pub fn begin(&mut self) -> SavedCapture {
         self.captures += 1;
         let name = format!("capture-{:04}", self.captures);
@@ -74,7 +74,7 @@ impl Saver {
         }
     }
 
-    /// Writes one more frame of a capture; after a failure none.
+    /// Writes the next frame of a capture; does nothing after a failure.
     pub fn add(&mut self, capture: &mut SavedCapture, frame: &impl BorrowedFrame) {
         if capture.failed.is_some() {
             return;
@@ -109,12 +109,12 @@ impl Saver {
 }
 
 impl SavedCapture {
-    /// Keeps it as a capture of a view that these triggers exposed.
+    /// Assigns the capture to a view, with the triggers that exposed its frames.
     pub fn of_view(self, view: usize, triggers: &[Trigger]) -> SavedView {
         let triggered = triggers.iter().map(|t| [t.camera_at.0, t.end_at.0]);
         let mut exposed_us = self.exposed_us;
         if !self.lengths_measured {
-            // Then they are what was commanded.
+            // Exposure times that were not measured are set to the commanded ones.
             for (exposed, trigger) in exposed_us.iter_mut().zip(triggers) {
                 exposed[0] = exposed[1].saturating_sub(trigger.end_at.0 - trigger.camera_at.0);
             }
@@ -138,9 +138,9 @@ impl SavedCapture {
         self.session
     }
 
-    /// Removes it again: its frames cannot be trusted.
+    /// Removes its files, because its frames cannot be trusted.
     pub fn discard(self) {
-        // What stays is in no index.
+        // A file that remains is named in no index.
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }

@@ -1,4 +1,4 @@
-//! A folder of images as a source of frames: each is read, checked and labelled as a camera process would have.
+//! A folder of images as a source of frames: each image is read, checked and labelled as a camera process would label it.
 
 use std::collections::{HashMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -19,28 +19,28 @@ use flankscope_foundation::files;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageProblem {
-    /// It cannot be read.
+    /// The image cannot be read.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// It is not the one that was recorded.
+    /// The image differs from the one that was recorded.
     #[error("{} is not what was recorded: its BLAKE3 is {got}, the index says {expected}", path.display())]
     Changed {
         /// The image.
         path: PathBuf,
-        /// Of the file.
+        /// BLAKE3 of the file.
         got: String,
-        /// Of the index.
+        /// BLAKE3 in the index.
         expected: String,
     },
-    /// Two exposures never agree to the last bit.
+    /// The image repeats an earlier one: two exposures of a real sensor never agree to the last bit.
     #[error("{} is {} again, to the last bit: one of them is missing, or the index names a view twice", path.display(), earlier.display())]
     Again {
         /// The image.
         path: PathBuf,
-        /// The same content, before.
+        /// The earlier image with the same content.
         earlier: PathBuf,
     },
-    /// More than the sensor counts.
+    /// The image has counts above the sensor's full scale.
     #[error(
         "{} has counts of up to {got}, the sensor ends at {full_scale}: counts are not stretched to the bits of the file",
         path.display()
@@ -50,7 +50,7 @@ pub enum ImageProblem {
         path: PathBuf,
         /// Largest count.
         got: u16,
-        /// Of the sensor.
+        /// Full scale of the sensor.
         full_scale: u16,
     },
 }
@@ -77,7 +77,7 @@ impl BorrowedFrame for ReadFrame {
     }
 }
 
-/// What images must be like.
+/// Size and depth that images must have.
 #[derive(Clone, Debug)]
 pub(super) struct Camera {
     pub size_px: [u32; 2],
@@ -85,21 +85,21 @@ pub(super) struct Camera {
     pub exposures_us: Vec<u32>,
 }
 
-/// How long it waits for the next session.
+/// How long the source waits for the next session.
 const IDLE: Duration = Duration::from_millis(5);
 
-/// Hands out the frames of the views that it is told, in their order.
+/// Returns the frames of the requested views, in their order.
 pub struct FolderSource {
     camera: Camera,
-    /// The views of the next session.
+    /// Receives the views of each next session.
     next: Receiver<Vec<RecordedView>>,
-    /// Views of the session that cannot be read, and why.
+    /// Sends the views of the session that cannot be read, and why.
     problems: Sender<(usize, ImageProblem)>,
     session: u32,
     counter: u32,
     views: VecDeque<(usize, RecordedView)>,
     frames: VecDeque<ReadFrame>,
-    /// Every fringe image so far, by its content.
+    /// Every fringe image read so far, by a hash of its content.
     seen: HashMap<u64, PathBuf>,
 }
 
@@ -121,14 +121,14 @@ impl FolderSource {
         }
     }
 
-    /// All frames of a view, or why it has none: a view without one of them is no view.
+    /// Reads all frames of a view, or returns why it has none: a view is used only with all its frames.
     fn read(&mut self, view: usize, of: &RecordedView) -> Result<(), ImageProblem> {
         let times = of.times(&of.said.exposed_us, &self.camera.exposures_us);
         let mut frames = VecDeque::with_capacity(of.images.len());
         for (at, ((kind, path), exposed)) in of.images.iter().zip(times).enumerate() {
             let image = self.image(path, of.said.blake3.get(at))?;
             let sum = checksum(&image.pixels);
-            // Somebody's dark frame may serve several views, and a view may lie in one stripe of a code.
+            // One dark frame may serve several views, and a whole view may lie within one stripe of a code, so only fringes must differ.
             if matches!(kind, FrameKind::Fringe { .. })
                 && let Some(earlier) = self.seen.insert(sum, path.clone())
             {
@@ -195,7 +195,7 @@ impl FolderSource {
                 width_px,
                 height_px,
                 stride_px: width_px,
-                // Its file says when it was exposed.
+                // Exposure times come from the index, so they count as measured.
                 measured: FrameHeader::ALL_MEASURED,
                 exposure_start_us: start_us,
                 exposure_end_us: end_us,
@@ -215,7 +215,7 @@ impl FrameSource for FolderSource {
     fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
         self.session = arm.session;
         self.frames.clear();
-        // Whoever arms has sent the views before.
+        // The views were sent before the session is armed.
         self.views = self
             .next
             .try_recv()
@@ -226,7 +226,7 @@ impl FrameSource for FolderSource {
         Ok(())
     }
 
-    /// Frames that were recorded are always there.
+    /// Recorded frames are always ready.
     fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
         let [width_px, height_px] = self.camera.size_px;
         Ok(Some(Ready {
@@ -240,12 +240,12 @@ impl FrameSource for FolderSource {
     fn receive(&mut self, timeout: Duration) -> Result<Option<ReadFrame>, ReceiveError> {
         while self.frames.is_empty() {
             let Some((view, of)) = self.views.pop_front() else {
-                // Nothing comes before the next arming.
+                // No frame is returned before the next session is armed.
                 std::thread::sleep(timeout.min(IDLE));
                 return Ok(None);
             };
             if let Err(problem) = self.read(view, &of) {
-                // Nobody listens any more: then nobody waits for the view either.
+                // If the receiver is gone, nothing waits for the view either.
                 let _ = self.problems.send((view, problem));
             }
         }
@@ -253,7 +253,7 @@ impl FrameSource for FolderSource {
     }
 }
 
-/// The number that a pattern has in its exposure: 0 the dark frame, 1.. the others in their order.
+/// Pattern number within its exposure: 0 for the dark frame, then 1, 2, … in order.
 pub(super) fn pattern(images: &[(FrameKind, PathBuf)], at: usize) -> u16 {
     let Some((kind, before)) = images.get(..=at).and_then(<[_]>::split_last) else {
         return 0;

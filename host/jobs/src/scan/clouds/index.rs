@@ -1,4 +1,4 @@
-//! `clouds.toml`: where the stages stood for each view of a folder of recorded clouds.
+//! `clouds.toml`: position of the stages for each view of a folder of recorded clouds.
 
 use std::path::PathBuf;
 
@@ -13,41 +13,41 @@ use flankscope_instrument::acquisition::{IndexedView, RecordedIndex, stays_insid
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CloudIndex {
-    /// Whether no real die was looked at.
+    /// Whether the clouds show no real die.
     pub simulated: bool,
-    /// Day on which the clouds were taken.
+    /// Day of capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taken: Option<Date>,
-    /// The head that looked, relative to the index.
+    /// Head file of the head that captured the clouds, relative to the index.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub head: Option<PathBuf>,
-    /// Unit of the clouds; no format says it.
+    /// Unit of the clouds; cloud formats do not state it.
     #[serde(default)]
     pub unit: Unit,
-    /// Standard uncertainty of a point along its ray, micrometres, of clouds that do not state it point by point.
+    /// Standard uncertainty of a point along its ray, µm, for clouds that do not state it point by point.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma_um: Option<f64>,
-    /// Grid of the scan that the views are of, as `scan --views` takes it; without it, a scan is of these views.
+    /// Grid of the scan that the views belong to, as `scan --views` takes it; by default the scan consists of these views.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub grid: Option<String>,
-    /// The views, in the order in which they were taken.
+    /// The views, in the order of capture.
     #[serde(default)]
     pub view: Vec<IndexedCloud>,
 }
 
-/// One view: where the stages stood, and its cloud.
+/// One view: position of the stages, and its cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IndexedCloud {
     /// Its cloud in the camera's frame, in the index's folder.
     pub file: PathBuf,
-    /// The tooth in its middle. Without an angle, it is where the drawing has it.
+    /// Tooth in its middle. Without `rotation_rad`, the angle follows from the drawing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tooth: Option<u32>,
-    /// Angle told to the rotary stage.
+    /// Commanded angle of the rotary stage, rad.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<f64>,
-    /// Height told to the vertical stage; without it, where the tool file has the head look.
+    /// Commanded height of the vertical stage, mm; by default the viewing height in the tool file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vertical_mm: Option<f64>,
     /// BLAKE3 of the file.
@@ -55,7 +55,7 @@ pub struct IndexedCloud {
     pub blake3: Option<String>,
 }
 
-/// No point of a head is surer or less sure than this, µm.
+/// Range of plausible standard uncertainties of a point, µm.
 const SIGMA_UM: [f64; 2] = [1e-3, 1e3];
 
 impl RecordedIndex for CloudIndex {

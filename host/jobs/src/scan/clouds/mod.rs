@@ -1,8 +1,8 @@
-//! The scan of clouds that were recorded: everything after decoding as in a live one, and nothing before it.
+//! The scan of recorded clouds: everything after decoding is as in a live scan.
 //!
-//! What bare points do not tell is never presumed in their favour. Where no point lies within half a cell of a ray of the head,
-//! nothing was seen there. Without a stated uncertainty nothing is judged; and without frames, whose evidence nobody asked for,
-//! nothing is sound: what exceeds a limit is said, what does not is indeterminate.
+//! Information that clouds lack is never assumed in the die's favour. If no point lies within half a cell of a ray of the head,
+//! the ray counts as unmeasured. Without a stated uncertainty nothing is judged. Without frames, their consistency cannot be
+//! tested, so no flank is "go": what exceeds a limit is reported, everything else is indeterminate.
 
 mod index;
 mod save;
@@ -38,18 +38,18 @@ use flankscope_record::origin::{RecordingId, Setting};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CloudsError {
-    /// The index.
+    /// The index cannot be read.
     #[error(transparent)]
     File(#[from] TextFileError),
-    /// A cloud that is not there.
+    /// A cloud is missing.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// The cloud.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         source: std::io::Error,
     },
-    /// A cloud elsewhere than in its folder.
+    /// A cloud lies outside the folder.
     #[error("{} leads out of {}: clouds lie in the folder of their clouds.toml", path.display(), folder.display())]
     Outside {
         /// The cloud.
@@ -57,15 +57,15 @@ pub enum CloudsError {
         /// Its folder.
         folder: PathBuf,
     },
-    /// A cloud that is none.
+    /// A file is not a cloud.
     #[error("cannot use cloud {}: {source}", path.display())]
     Cloud {
         /// The cloud.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         source: Box<cloud::CloudError>,
     },
-    /// A point that no camera sees.
+    /// A point lies behind the camera.
     #[error("{}: point {point} lies behind the camera (z = {z_mm} mm): a view's cloud is in the camera's frame, z along its view", path.display())]
     Behind {
         /// The cloud.
@@ -75,7 +75,7 @@ pub enum CloudsError {
         /// Its depth.
         z_mm: f64,
     },
-    /// An uncertainty that is none.
+    /// The uncertainty of a point is not plausible.
     #[error("{}: the standard uncertainty of point {point} is {sigma_mm} mm; finite and above 0 would be right", path.display())]
     Sigma {
         /// The cloud.
@@ -85,29 +85,29 @@ pub enum CloudsError {
         /// Its uncertainty.
         sigma_mm: f32,
     },
-    /// A file that is not what was written.
+    /// A file differs from the recorded one.
     #[error("{} is not what the index says: its BLAKE3 is {got}, not {expected}", path.display())]
     Digest {
         /// The cloud.
         path: PathBuf,
-        /// Of the file.
+        /// BLAKE3 of the file.
         got: String,
-        /// Of the index.
+        /// BLAKE3 in the index.
         expected: String,
     },
-    /// One cloud in the place of two.
+    /// Two views have the same cloud.
     #[error("{}: view {view} has the very points of view {other}; each view has a cloud of its own", path.display())]
     Twice {
         /// The cloud.
         path: PathBuf,
         /// View, from 1.
         view: usize,
-        /// Another one.
+        /// The other view.
         other: usize,
     },
 }
 
-/// A folder of recorded clouds, its index read.
+/// A folder of recorded clouds with its index.
 #[derive(Clone, Debug)]
 pub struct CloudRecording {
     /// The index.
@@ -121,16 +121,16 @@ pub struct CloudRecording {
 struct ViewCloud {
     points_mm: Vec<[f64; 3]>,
     sigma_mm: Vec<f32>,
-    /// Whether cloud or index state that uncertainty.
+    /// Whether cloud or index state the uncertainty of points.
     has_sigma: bool,
     blake3: String,
 }
 
 impl CloudRecording {
-    /// Reads the index of a folder, and sees that its clouds are there.
+    /// Reads the index of a folder, and checks that its clouds exist.
     ///
     /// # Errors
-    /// File, line and what would be right; the first cloud that is not there.
+    /// File, line and the expected value; or the first missing cloud.
     pub fn open(folder: &Path) -> Result<Self, CloudsError> {
         let (index, text) = CloudIndex::load(folder)?;
         let recording = Self {
@@ -163,7 +163,7 @@ impl CloudRecording {
         Some(self.folder.join(head))
     }
 
-    /// What a result says of it.
+    /// Identity of the recording, as results state it.
     #[must_use]
     pub fn id(&self) -> RecordingId {
         RecordingId {
@@ -224,23 +224,22 @@ impl CloudRecording {
     }
 }
 
-/// The host's side for a scan of recorded clouds, with its session folder open.
+/// A scan of recorded clouds, with its session folder open.
 #[derive(Debug)]
 pub struct CloudScan {
-    /// What stitches and describes, as in a live scan.
+    /// Stitches and describes the views as in a live scan.
     pub scanner: Scanner,
     clouds: CloudRecording,
-    /// Of every cloud of the index, its view of the plan.
+    /// For every cloud of the index, its view of the plan.
     of: Vec<usize>,
     decoder: Arc<Decoder>,
 }
 
 impl CloudScan {
-    /// Prepares a scan of these clouds, kept in `folder`, where an earlier part of it may lie. The result says that it comes
-    /// from `setting`.
+    /// Prepares a scan of these clouds in `folder`, which may hold an earlier part of it. The result states `setting` as its origin.
     ///
     /// # Errors
-    /// The subject is unfit, or the folder is another scan's.
+    /// Tool or head lack what the job needs, or the folder belongs to another scan.
     pub fn open(
         subject: Subject,
         setting: Setting,
@@ -266,10 +265,10 @@ impl CloudScan {
         })
     }
 
-    /// Lays the clouds on the CAD and stitches everything. What bare clouds leave open is indeterminate.
+    /// Registers the clouds to the CAD and stitches them. What remains open without frames is indeterminate.
     ///
     /// # Errors
-    /// A cloud is not what it should be, the session folder cannot be written, or the views have no common solution.
+    /// A cloud is invalid, the session folder cannot be written, or the views have no common solution.
     pub fn scan(&mut self, mut watch: impl FnMut(Progress)) -> Result<Scan, ScanError> {
         let begun_ns = monotonic_ns();
         let unfit = self.scanner.job.unfit_on(self.clouds.index.taken);
@@ -281,7 +280,7 @@ impl CloudScan {
         }
         let mut scan = self.scanner.conclude(captured, begun_ns, watch)?;
         match without_sigma {
-            // What is no scan of this die has a better reason.
+            // If the scan is not of this die, that reason is kept.
             Some(path) if !scan.features.is_empty() => scan.invalidate(&Reason::instrument(
                 Code::NoUncertainty,
                 format_args!(
@@ -294,8 +293,8 @@ impl CloudScan {
         Ok(scan)
     }
 
-    /// Every cloud in the order in which it was taken; a further one of a view counts where none before it was kept. Returns
-    /// the first that states no uncertainty.
+    /// Registers every cloud in the order of capture; a further cloud of a view is used if none before it was kept. Returns the
+    /// first one without a stated uncertainty.
     fn lay(
         &mut self,
         lost: &mut BTreeMap<usize, Reason>,
@@ -355,7 +354,7 @@ mod tests {
 
     const HEADER: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
 
-    /// What is said of a folder with this cloud and this index beside its place.
+    /// Error message for a folder with this cloud and this index.
     fn load(cloud: &str, more: &str) -> Result<ViewCloud, CloudsError> {
         let folder = tempfile::tempdir().unwrap();
         let index = format!("simulated = true\n{more}[[view]]\nfile = \"a.ply\"\ntooth = 40\n");

@@ -1,4 +1,4 @@
-//! The clouds of a scan as a folder that `scan --clouds` takes.
+//! Saves the clouds of a scan as a folder that `scan --clouds` reads.
 
 use std::path::Path;
 
@@ -21,12 +21,12 @@ pub enum SaveCloudsError {
     /// The session folder cannot be read.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// Something was not written.
+    /// A file was not written.
     #[error("cannot write {path}: {source}")]
     Write {
         /// The file.
         path: std::path::PathBuf,
-        /// Why.
+        /// Reason.
         source: std::io::Error,
     },
     /// The index cannot be written as text.
@@ -35,11 +35,11 @@ pub enum SaveCloudsError {
 }
 
 impl Scanner {
-    /// Writes every view that is kept as a cloud in the camera's frame, with the standard uncertainty of every point, and their
-    /// index. `head` is the head's file in the same folder. Returns the number of views.
+    /// Writes every kept view as a cloud in the camera frame, with the standard uncertainty of every point, and their index.
+    /// `head` is the head file in the same folder. Returns the number of views.
     ///
     /// # Errors
-    /// The session folder cannot be read, or something was not written.
+    /// The session folder cannot be read, or a file was not written.
     pub fn save_clouds(&self, folder: &Path, head: &Path) -> Result<usize, SaveCloudsError> {
         let mut view = Vec::new();
         for (number, _) in self.store.session.views() {

@@ -1,4 +1,4 @@
-//! What each command does.
+//! Implementation of the stage controller's commands.
 
 use super::super::axis::{Arrival, Axis};
 use super::StageModel;
@@ -8,15 +8,15 @@ use super::errors::{
 };
 
 const VERSION: &str = "ESP301 Version 3.0.1 6/1/99";
-/// The controller's buffer of errors; the oldest is read first.
+/// Size of the controller's error buffer; the oldest error is read first.
 const ERRORS_KEPT: usize = 10;
 /// Longest wait, ms.
 const LONGEST_WAIT_MS: f64 = 60_000.0;
 const PROGRAMS: std::ops::RangeInclusive<u32> = 1..=100;
-/// Memory for programs, bytes.
+/// Memory for stored programs, bytes.
 const PROGRAM_MEMORY: usize = 61_440;
 
-/// Listed in the manuals, and not emulated: groups, digital I/O, data acquisition, master-slave modes, labels and starts of
+/// Commands in the manuals that are not emulated: groups, digital I/O, data acquisition, master-slave modes, labels and starts of
 /// programs, events, the front panel, the IEEE-488 address.
 const NOT_EMULATED: &[&str] = &[
     "BG", "BK", "BL", "BM", "BN", "BO", "BP", "BQ", "DC", "DD", "DE", "DF", "DG", "DL", "DO", "EO",
@@ -24,32 +24,32 @@ const NOT_EMULATED: &[&str] = &[
     "HX", "HZ", "JL", "LC", "RQ", "SA", "SB", "SI", "SK", "SS", "UH", "UL",
 ];
 
-/// What a command leads to.
+/// Result of a command.
 pub(super) enum Answer {
     None,
     SetOff,
     Text(String),
 }
 
-/// What holds back everything behind it.
+/// A wait that delays all following commands.
 pub(super) enum Wait {
-    /// Until this axis, or every one, stands, and then some.
+    /// Until this axis, or every axis, has stopped, and a delay after that.
     Stop {
         axis: Option<usize>,
         then_ms: u64,
     },
-    /// Until this axis comes by this place.
+    /// Until this axis passes this position.
     Crossing {
         axis: usize,
         place: f64,
         from_below: bool,
     },
     Time(u64),
-    /// Until these commands are carried out.
+    /// Until these commands are finished.
     Program(String),
 }
 
-/// A number of the protocol: no NaN, nothing infinite.
+/// A number of the protocol, which must be finite.
 pub(super) fn number(text: &str) -> Result<f64, Refusal> {
     let value = text.parse::<f64>().ok();
     value
@@ -57,7 +57,7 @@ pub(super) fn number(text: &str) -> Result<f64, Refusal> {
         .ok_or(MISSING_PARAMETER)
 }
 
-/// Number in front, name, and what stands behind it; blanks mean nothing.
+/// Axis number, name, and argument of a command; blanks are ignored.
 fn parts(command: &str) -> Option<(Option<u32>, String, String)> {
     let text: String = command.chars().filter(|c| !c.is_whitespace()).collect();
     let digits = text.bytes().take_while(u8::is_ascii_digit).count();
@@ -67,7 +67,7 @@ fn parts(command: &str) -> Option<(Option<u32>, String, String)> {
     Some((front, name.to_ascii_uppercase(), behind.to_owned()))
 }
 
-/// Whether a command holds back what comes after it.
+/// Whether a command delays those after it.
 pub(super) fn holds(command: &str) -> bool {
     parts(command).is_some_and(|(_, name, _)| matches!(name.as_str(), "WS" | "WP" | "WT" | "EX"))
 }
@@ -77,7 +77,7 @@ fn yes_or_no(yes: bool) -> Answer {
 }
 
 impl StageModel {
-    /// Carries out one line of commands at `now_us` and returns the answer, if any. `true`: something set off.
+    /// Executes one line of commands at `now_us` and returns the answer, if any, and whether a motion started.
     pub(super) fn line(&mut self, now_us: u64, line: &str) -> (String, bool) {
         let now_s = now_us as f64 * 1e-6;
         self.settle(now_s);
@@ -97,7 +97,7 @@ impl StageModel {
         (answers, set_off)
     }
 
-    /// What `command` holds everything behind it back for; nothing, where it is wrong or only recorded.
+    /// The wait that `command` starts; `None` if it is invalid or only recorded.
     pub(super) fn hold(&mut self, now_us: u64, command: &str) -> Option<Wait> {
         let now_s = now_us as f64 * 1e-6;
         self.settle(now_s);
@@ -109,7 +109,7 @@ impl StageModel {
         wait.map_err(|error| self.note(error)).ok()
     }
 
-    /// Whether this axis, or every one, stands; one that stalls never does.
+    /// Whether this axis, or every axis, has stopped; a stalled one never does.
     pub(super) fn stands(&self, now_s: f64, axis: Option<usize>) -> bool {
         let mut axes = self.axes.iter().enumerate();
         axes.all(|(n, one)| axis.is_some_and(|axis| axis != n) || one.done(now_s))
@@ -227,7 +227,7 @@ impl StageModel {
         }
     }
 
-    /// Commands that need no axis.
+    /// Commands without an axis.
     fn of_controller(
         &mut self,
         now_s: f64,
@@ -238,7 +238,7 @@ impl StageModel {
         let text = |text: String| Ok(Answer::Text(text));
         Some(match (name, behind) {
             ("VE", "" | "?") => text(VERSION.into()),
-            // What can only be read may be asked without a question mark, and some clients do.
+            // Read-only values may be requested without a question mark, as some clients do.
             ("TE", "" | "?") => text(
                 self.errors
                     .pop_front()
@@ -255,7 +255,7 @@ impl StageModel {
                 text(char::from(0x40 | moving << 4).to_string())
             }
             ("PH", "" | "?") => text(self.switches(now_s)),
-            // Drivers and stages of axes 1 and 2.
+            // Drivers and stages of axes 1 and 2 are present.
             ("ZU", "" | "?") => text("303H".into()),
             ("ZZ", "?") => text("0H".into()),
             ("XM", "" | "?") => {
@@ -273,7 +273,7 @@ impl StageModel {
                 }
                 Ok(Answer::SetOff)
             }
-            // Of every axis, whatever stands in front; what it does is said by ZE.
+            // Applies to every axis, whatever the axis number; ZE sets the reaction.
             ("AB", "") => {
                 for axis in &mut self.axes {
                     axis.react(now_s, "ZE");
@@ -290,7 +290,7 @@ impl StageModel {
                 }
                 Ok(Answer::None)
             }
-            // A program is over before the next command is looked at.
+            // A stored program ends before the next command is read.
             ("AP", "") => Ok(Answer::None),
             ("EP" | "XX" | "LP", "") => self.program(front, name),
             ("QP", "") => Err(NOT_ALLOWED),
@@ -320,7 +320,7 @@ impl StageModel {
         }
     }
 
-    /// Everything at rest and without current, settings as they were saved; where the axes stand counts as 0.
+    /// All axes at rest and without current, with saved settings; the present positions become 0.
     fn reset(&mut self, now_s: f64) {
         for axis in &mut self.axes {
             axis.switch_off(now_s);
@@ -331,15 +331,15 @@ impl StageModel {
         self.recording = None;
     }
 
-    /// Which axes move (bits 0 to 2), whether any has current (bit 4).
+    /// Moving axes (bits 0 to 2), and whether any has current (bit 4).
     fn status(&self, now_s: f64) -> u8 {
         let moving = |n: usize| u8::from(!self.axes[n].done(now_s)) << n;
         let powered = self.axes.iter().any(|axis| axis.motor_on);
         0x40 | moving(0) | moving(1) | u8::from(powered) << 4
     }
 
-    /// Two registers: limit switches up (bits 0 to 2) and down (8 to 10) and emergency stops that nobody pressed (27, 28); home
-    /// switches (0 to 2).
+    /// Two registers: upper limit switches (bits 0 to 2), lower ones (8 to 10) and emergency stops, which are inactive (27, 28);
+    /// home switches (0 to 2).
     fn switches(&self, now_s: f64) -> String {
         let (mut limits, mut homes) = (1u32 << 27 | 1 << 28, 0u32);
         for (n, axis) in self.axes.iter().enumerate() {
@@ -352,16 +352,16 @@ impl StageModel {
     }
 }
 
-/// What is answered to `ID?` for a stage that has no memory to say what it is.
+/// Answer to `ID?` for a stage without a memory of its model.
 pub const NO_MEMORY: &str = "Unknown";
 
-/// What an axis knows beside its settings.
+/// Axis commands other than settings.
 const AXIS_COMMANDS: &[&str] = &[
     "DH", "DP", "DV", "ID", "MD", "MF", "MO", "MT", "MV", "MZ", "OR", "PA", "PR", "QD", "QR", "ST",
     "TP", "TV", "UF",
 ];
 
-/// Commands that set an axis off, stop it, or say where it stands.
+/// Commands that start or stop an axis, or report its position.
 fn of_motion(
     axis: &mut Axis,
     now_s: f64,
@@ -379,7 +379,7 @@ fn of_motion(
         })),
         ("MV", _) => go(direction(axis, behind).map(|up| until_limit(axis, now_s, up))),
         ("MT", _) => go(direction(axis, behind).map(|up| to_switch(axis, now_s, up))),
-        // The index pulse stands beside the home switch.
+        // The index pulse is next to the home switch.
         ("MZ", _) => go(direction(axis, behind).map(|_| {
             axis.send_at(now_s, axis.model.home, axis.settings.get("OH"));
         })),
@@ -405,7 +405,7 @@ fn of_motion(
     })
 }
 
-/// Commands that ask after an axis, or switch its motor.
+/// Commands that report the state of an axis, or switch its motor.
 fn of_status(
     axis: &mut Axis,
     now_s: f64,
@@ -436,13 +436,13 @@ fn of_status(
             axis.switch_off(now_s);
             Ok(Answer::SetOff)
         }
-        // The driver takes its settings over without current.
+        // The driver accepts its settings without current.
         ("QD", "") => {
             axis.switch_off(now_s);
             Ok(Answer::SetOff)
         }
         ("UF", "") => Ok(Answer::None),
-        // Less torque of a stepper at rest: the stages have none.
+        // Torque reduction of a stepper at rest, which the stages do not have.
         ("QR", "?") => Ok(Answer::Text("0, 100".into())),
         ("QR", _) => match behind.split_once(',').map(|(a, b)| (number(a), number(b))) {
             Some((Ok(0.0..=60_000.0), Ok(0.0..=100.0))) => Ok(Answer::None),
@@ -453,18 +453,18 @@ fn of_status(
     })
 }
 
-/// A position, with as many digits as `FP` says.
+/// A position, with the number of digits set by `FP`.
 fn position(axis: &Axis, reading: f64) -> String {
     let places = axis.settings.get("FP") as usize;
     let text = format!("{reading:.places$}");
-    // The device knows no negative zero.
+    // The device does not print a negative zero.
     match text.strip_prefix('-') {
         Some(size) if !size.contains(|digit: char| ('1'..='9').contains(&digit)) => size.to_owned(),
         _ => text,
     }
 }
 
-/// Up or down, of an axis that may move.
+/// Direction of a move, for an axis that may move.
 fn direction(axis: &Axis, behind: &str) -> Result<bool, Refusal> {
     let up = match behind {
         "+" => true,
@@ -475,7 +475,7 @@ fn direction(axis: &Axis, behind: &str) -> Result<bool, Refusal> {
     axis.may_move().map(|()| up)
 }
 
-/// Sends an axis to where it will read so.
+/// Moves an axis to the position with this reading.
 fn travel(axis: &mut Axis, now_s: f64, reading: f64) -> Result<(), Refusal> {
     axis.may_move()?;
     axis.within_limits(reading)?;
@@ -483,7 +483,7 @@ fn travel(axis: &mut Axis, now_s: f64, reading: f64) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Sends an axis until something stops it: the software limit, where it is watched, or the limit switch.
+/// Moves an axis until the software limit, if active, or the limit switch.
 fn until_limit(axis: &mut Axis, now_s: f64, up: bool) {
     if !axis.settings.bit("ZS", 0) {
         let (down_switch, up_switch) = axis.switches();
@@ -505,14 +505,14 @@ fn until_limit(axis: &mut Axis, now_s: f64, up: bool) {
     axis.arrive_as(Arrival::SoftwareLimit(error));
 }
 
-/// Sends an axis to its limit switch, at the speed of a home search; it stands there, and nothing is wrong.
+/// Moves an axis to its limit switch at home-search speed; arriving there is not an error.
 fn to_switch(axis: &mut Axis, now_s: f64, up: bool) {
     let (down_switch, up_switch) = axis.switches();
     let target = if up { up_switch } else { down_switch };
     axis.send_at(now_s, target, axis.settings.get("OH"));
 }
 
-/// A home search of the given mode, or of that of `OM`: what is found reads as `SH` says.
+/// A home search in the given mode, or in that of `OM`; the position found gets the reading set by `SH`.
 fn home(axis: &mut Axis, now_s: f64, mode: &str) -> Result<(), Refusal> {
     let mode = match mode {
         "" => axis.settings.get("OM"),

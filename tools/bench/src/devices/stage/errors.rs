@@ -1,5 +1,4 @@
-//! Numbers and texts of the manual's list of errors, compared with the tables that clients of others carry (InstrumentKit,
-//! PyMeasure).
+//! Numbers and texts of the manual's list of errors, compared with the tables in published clients (InstrumentKit, PyMeasure).
 
 /// Number and text of an error.
 pub(crate) type Refusal = (u32, &'static str);
@@ -12,7 +11,7 @@ pub(crate) const NO_SUCH_PROGRAM: Refusal = (35, "PROGRAM NOT FOUND");
 pub(crate) const MISSING_AXIS: Refusal = (37, "AXIS NUMBER MISSING");
 pub(crate) const MISSING_PARAMETER: Refusal = (38, "COMMAND PARAMETER MISSING");
 
-// Of an axis: these have its number in front (205 is the lower limit switch of axis 2).
+// Errors of an axis have its number in front (205 is the lower limit switch of axis 2).
 pub(crate) const MOTOR_UNDEFINED: Refusal = (0, "MOTOR TYPE NOT DEFINED");
 pub(crate) const PARAMETER_OUT_OF_RANGE: Refusal = (1, "PARAMETER OUT OF RANGE");
 pub(crate) const POSITIVE_SWITCH: Refusal = (4, "POSITIVE HARDWARE LIMIT DETECTED");
@@ -24,7 +23,7 @@ pub(crate) const ACCELERATION_EXCEEDED: Refusal = (11, "MAXIMUM ACCELERATION EXC
 pub(crate) const MOTOR_OFF: Refusal = (13, "MOTOR NOT ENABLED");
 pub(crate) const NO_SUCH_MOVE: Refusal = (32, "INVALID TRAJECTORY MODE FOR MOVING");
 
-/// The error with the number of its axis, counted from 1, in front.
+/// The error with the number of its axis in front, counted from 1.
 pub(crate) fn of_axis(axis: usize, (code, text): Refusal) -> Refusal {
     (axis as u32 * 100 + code, text)
 }

@@ -1,8 +1,8 @@
-//! Both stages behind an emulated Newport ESP301: its text protocol on a UART, trapezoidal motion, stage errors.
+//! Both stages with an emulated Newport ESP301: its text protocol on a UART, trapezoidal motion, stage errors.
 //!
-//! It speaks what the ESP300 and ESP301 user's manuals list for motion, trajectory, limits, motor and feedback settings, servo
-//! filters, waiting, aborting, errors, status and stored programs. Groups, digital I/O, data acquisition and master-slave modes
-//! are not emulated: these commands answer error 27. What the manuals do not list is error 6.
+//! It implements the commands in the ESP300 and ESP301 user's manuals for motion, trajectory, limits, motor and feedback
+//! settings, servo filters, waiting, aborting, errors, status and stored programs. Groups, digital I/O, data acquisition and
+//! master-slave modes are not emulated: these commands give error 27. Commands that are not in the manuals give error 6.
 
 mod commands;
 pub(crate) mod errors;
@@ -27,8 +27,8 @@ pub struct AxisModels {
 }
 
 impl Default for AxisModels {
-    /// URS150BCC and IMS300V. Errors as the instrument's authors state them (±15 mdeg, ±5 um); speeds are the stages'
-    /// rated ones, accelerations assumed (full speed within 0.25 s and 0.125 s).
+    /// URS150BCC and IMS300V. Position errors as the instrument's authors state them (±15 mdeg, ±5 µm); rated speeds of the
+    /// stages; accelerations are assumed (full speed within 0.25 s and 0.125 s).
     fn default() -> Self {
         Self {
             rotation: AxisModel {
@@ -63,7 +63,7 @@ impl Default for AxisModels {
     }
 }
 
-/// Where the stages really are.
+/// True positions of the stages.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TruePose {
     /// Rotary stage.
@@ -79,12 +79,12 @@ pub struct StageModel {
     seed: u64,
     errors: VecDeque<Refusal>,
     programs: BTreeMap<u32, Vec<String>>,
-    /// The program that commands go into instead of being carried out.
+    /// The program that records commands instead of executing them.
     recording: Option<u32>,
 }
 
 impl StageModel {
-    /// Switched on, standing at the home switches.
+    /// State after switching on, at the home switches.
     #[must_use]
     pub fn new(models: AxisModels, seed: u64) -> Self {
         Self {
@@ -96,21 +96,20 @@ impl StageModel {
         }
     }
 
-    /// Where the stages really are.
+    /// True positions of the stages at a time.
     #[must_use]
     pub fn true_pose(&self, now_us: u64) -> TruePose {
         let now_s = now_us as f64 * 1e-6;
         self.pose_of(|axis| axis.profile.position(now_s))
     }
 
-    /// Where the stages will really come to stand.
+    /// True positions of the stages after the present move.
     #[must_use]
     pub fn true_destination(&self) -> TruePose {
         self.pose_of(|axis| axis.profile.target())
     }
 
-    /// The next time after `now_us` at which the vertical axis crosses `vertical_mm`, to the millisecond it is looked
-    /// at; `None` if it will not.
+    /// Next time after `now_us` at which the vertical axis crosses `vertical_mm`, to a millisecond; `None` if it does not.
     pub(super) fn vertical_crossing_us(&self, now_us: u64, vertical_mm: f64) -> Option<u64> {
         let profile = &self.axes[1].profile;
         let above = |at_us: u64| profile.position(at_us as f64 * 1e-6) >= vertical_mm;
@@ -121,7 +120,7 @@ impl StageModel {
             .find(|&at_us| above(at_us) != level)
     }
 
-    /// The line sends the vertical axis to a place at least a millimetre away.
+    /// Whether the line moves the vertical axis by at least a millimetre.
     fn moves_vertically(&self, line: &str) -> bool {
         let axis = &self.axes[1];
         let mut commands = line.split(';');
@@ -142,7 +141,7 @@ impl StageModel {
         }
     }
 
-    /// Uniform in -1..1, the same whenever the same axis is sent to the same position (to a millionth).
+    /// Uniform in -1..1, reproducible for the same axis and position (to a millionth).
     fn unit_error(&self, axis: usize, position: f64) -> f64 {
         let cell = (position * 1e6).round() as i64 as u64;
         let mut mixed =
@@ -232,7 +231,7 @@ mod tests {
     #[test]
     fn an_abort_takes_the_current_where_the_axis_is_set_so() {
         let mut stage = StageModel::new(AxisModels::default(), 1);
-        // Bits 0 and 2: it stops by AE and keeps its current; 0 and 1, as it comes: without.
+        // Bits 0 and 2: it stops with AE and keeps its current. Bits 0 and 1 (default): it loses its current.
         ask(&mut stage, 0, "1MO;2MO;2ZE5H;2AE1600;1PA90;2PA0");
         ask(&mut stage, 500_000, "AB");
         assert_eq!(ask(&mut stage, 500_000, "1MO?;2MO?"), "0\r\n1\r\n");
@@ -247,14 +246,14 @@ mod tests {
         assert_eq!(ask(&mut stage, 0, "2SL1;2SR-1;TE?;TE?"), "201\r\n201\r\n");
         ask(&mut stage, 0, "2MO;2SR120;2PA130");
         assert_eq!(ask(&mut stage, 0, "TE?"), "206\r\n");
-        // For ever upwards: to the software limit, and it says so.
+        // Unlimited upward motion ends at the software limit with an error.
         ask(&mut stage, 0, "2MV+");
         assert_eq!(ask(&mut stage, 100_000, "2MV?;TX?;TS?"), "0\r\nP\r\nR\r\n");
         assert_eq!(
             ask(&mut stage, 1_000_000, "2TP?;2MV?;TE?"),
             "120.000000\r\n1\r\n206\r\n"
         );
-        // Without it, to the switch, which takes the current.
+        // Without the software limit, it ends at the limit switch, which cuts the current.
         ask(&mut stage, 1_000_000, "2ZS0;2PA200");
         assert_eq!(
             ask(&mut stage, 3_000_000, "2TP?;TE?;2MO?;PH?"),
@@ -274,7 +273,7 @@ mod tests {
         ask(&mut stage, 5_000_000, "2SH7;2OR2");
         assert_eq!(ask(&mut stage, 9_000_000, "2TP?"), "7.000000\r\n");
         assert!((stage.true_pose(9_000_000).vertical_mm - 100.0).abs() < 0.006);
-        // To where it counts 0.
+        // To the position that reads 0.
         ask(&mut stage, 9_000_000, "2SH0;2OR0");
         assert!((stage.true_pose(12_000_000).vertical_mm - 93.0).abs() < 0.006);
     }

@@ -1,4 +1,4 @@
-//! The controller's side of the line: bytes to commands, answers, and what holds everything behind it back.
+//! The controller's side of the serial line: from bytes to commands, answers, and waits that delay later commands.
 
 use super::super::camera::ExposureSink;
 use super::super::{DeviceFault, Faults, World};
@@ -25,10 +25,10 @@ pub(in super::super) async fn run<S: ExposureSink>(
     .await;
 }
 
-/// Answers on `port` for ever; `set_off` is told where the stages are bound for.
+/// Serves `port` for ever; `set_off` receives the destination of the stages when they start to move.
 ///
-/// A carriage return ends a line; line feeds before or behind it mean nothing. What waits (`WS`, `WP`, `WT`) and a program that
-/// is executed (`EX`) hold everything behind them back.
+/// A carriage return ends a line; line feeds before or after it are ignored. Waits (`WS`, `WP`, `WT`) and an executed program
+/// (`EX`) delay all following commands.
 pub(in super::super) async fn serve(
     mut port: Port,
     stage: &RefCell<StageModel>,
@@ -108,7 +108,7 @@ async fn carry_out(
     }
 }
 
-/// Faults of the mechanics and of the controller's own, just before a line is carried out.
+/// Injects faults of the mechanics and the controller, just before a line is executed.
 fn spoil(stage: &RefCell<StageModel>, faults: &Faults, line: &str) {
     let mut stage = stage.borrow_mut();
     let moving = line.contains("PA") && !line.contains('?');
@@ -133,7 +133,7 @@ fn spoil(stage: &RefCell<StageModel>, faults: &Faults, line: &str) {
     }
 }
 
-/// What is done at once, what holds back what comes after it, and that.
+/// Splits a line into the part that is executed at once, the command that delays the rest, and the rest.
 fn split_at_hold(line: &str) -> (&str, Option<&str>, &str) {
     let mut start = 0;
     for command in line.split(';') {
@@ -147,7 +147,7 @@ fn split_at_hold(line: &str) -> (&str, Option<&str>, &str) {
     (line, None, "")
 }
 
-/// Completes when this is so of the stages, looked at every millisecond.
+/// Completes when a condition on the stages is true, polled every millisecond.
 async fn until(stage: &RefCell<StageModel>, so: impl Fn(&StageModel, f64) -> bool) {
     while !so(&stage.borrow(), Instant::now().as_micros() as f64 * 1e-6) {
         Timer::after_millis(1).await;

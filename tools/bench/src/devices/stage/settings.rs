@@ -1,6 +1,6 @@
-//! What of an axis can be set and asked for: the numbers behind the two-letter commands that have no effect but to be kept.
+//! Settings of an axis: values of the two-letter commands that are only stored and read back.
 //!
-//! Ranges are those of the ESP300 and ESP301 user's manuals, section 3; what a stage has when it is switched on is its own.
+//! Ranges are those of the ESP300 and ESP301 user's manuals, section 3; initial values are the stage's own.
 
 use std::collections::BTreeMap;
 
@@ -12,20 +12,20 @@ use crate::devices::AxisModel;
 /// The controller holds encoder counts in 32 bits.
 const MOST: f64 = 2e9;
 
-/// How a setting is written.
+/// Number format of a setting.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Form {
     Real,
     Whole,
-    /// With an H behind it.
+    /// With the suffix H.
     Hexadecimal,
 }
 
-/// What a setting may be.
+/// Allowed values of a setting.
 #[derive(Clone, Copy)]
 enum Range {
     From(f64, f64),
-    /// Above 0, and at most another setting.
+    /// Above 0, and at most the value of another setting.
     UpTo(&'static str, Refusal),
     AtLeast(&'static str),
 }
@@ -34,7 +34,7 @@ struct Setting {
     name: &'static str,
     form: Form,
     range: Range,
-    /// When switched on.
+    /// Value after switching on.
     initial: fn(&AxisModel) -> f64,
 }
 
@@ -91,7 +91,7 @@ const SETTINGS: &[Setting] = &[
     real("OH", SPEED, |axis| axis.dynamics.speed),
     real("OL", SPEED, |axis| axis.dynamics.speed / 10.0),
     whole("OM", 0.0, 6.0, |_| 1.0),
-    // What the home switch reads as.
+    // Reading at the home switch.
     real("SH", Range::From(-MOST, MOST), |axis| axis.home),
     real("BA", ANY, |_| 0.0),
     real("CO", ANY, |_| 0.0),
@@ -122,7 +122,7 @@ const SETTINGS: &[Setting] = &[
     real("AF", ANY, |_| 0.0),
     whole("DB", 0.0, MOST, |_| 0.0),
     whole("CL", 0.0, 60_000.0, |_| 0.0),
-    // What happens on a fault: bit 0 anything at all, bit 1 motor off, bit 2 stop by AE.
+    // Reactions to a fault: bit 0 enables, bit 1 motor off, bit 2 stop with AE.
     bits("ZA", |_| 291.0),
     bits("ZB", |_| 256.0),
     bits("ZE", |_| 3.0),
@@ -141,17 +141,17 @@ impl Settings {
         Self(SETTINGS.iter().map(initial).collect())
     }
 
-    /// The value of a setting that the table has; 0 of any other.
+    /// The value of a setting in the table; 0 for any other.
     pub fn get(&self, name: &str) -> f64 {
         self.0.get(name).copied().unwrap_or_default()
     }
 
-    /// Whether this bit of a setting in bits is set.
+    /// Whether a bit of a setting is set.
     pub fn bit(&self, name: &str, bit: u32) -> bool {
         (self.get(name) as u32) >> bit & 1 == 1
     }
 
-    /// What is answered to a question; `None`: no setting has this name.
+    /// Answer to a query; `None` if no setting has this name.
     pub fn answer(&self, name: &str) -> Option<String> {
         let setting = SETTINGS.iter().find(|setting| setting.name == name)?;
         let value = self.get(name);
@@ -162,7 +162,7 @@ impl Settings {
         })
     }
 
-    /// Sets it; `None`: no setting has this name.
+    /// Sets a value; `None` if no setting has this name.
     pub fn set(&mut self, axis: usize, name: &str, text: &str) -> Option<Result<(), Refusal>> {
         let setting = SETTINGS.iter().find(|setting| setting.name == name)?;
         Some(self.checked(axis, setting, text).map(|value| {

@@ -1,4 +1,4 @@
-//! Meshes from PLY, STL and OBJ files, told by content. Nothing is allocated for a count that the file cannot hold.
+//! Meshes from PLY, STL and OBJ files; the format is detected from the content. No memory is allocated for counts that exceed the file.
 
 mod ply;
 mod text;
@@ -10,84 +10,84 @@ use flankscope_gear_cad::Mesh;
 
 use super::regular;
 
-/// Bytes before the first triangle of a binary STL, and bytes of each.
+/// Bytes before the first triangle of a binary STL, and bytes per triangle.
 const STL_HEADER: usize = 84;
 const STL_RECORD: usize = 50;
 
-/// Why a file is no mesh.
+/// Why a file is not a mesh.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MeshFileError {
     /// The file cannot be read.
     #[error(transparent)]
     Read(std::io::Error),
-    /// Zero bytes.
+    /// The file is empty.
     #[error("the file is empty; a mesh is PLY, STL or OBJ")]
     Empty,
-    /// None of the formats.
+    /// The file has none of the formats.
     #[error(
         "not a mesh: neither PLY (starts with `ply`), STL (starts with `solid`, or 84 + 50 n bytes) nor OBJ (`v` and `f` lines)"
     )]
     Foreign,
-    /// A line that is not of its format.
+    /// A line does not follow its format.
     #[error("line {line}: {text:?} not understood; right would be {expected}")]
     Line {
         /// Number, from 1.
         line: usize,
         /// The line, shortened.
         text: String,
-        /// What would be right.
+        /// Expected content.
         expected: &'static str,
     },
-    /// A PLY header without what a mesh needs.
+    /// A PLY header lacks an element that a mesh needs.
     #[error("the PLY header has no {missing}")]
     Lacks {
         /// What is missing.
         missing: &'static str,
     },
-    /// A PLY body that is shorter than its header says.
+    /// A PLY body is shorter than its header states.
     #[error(
         "the PLY header promises {count} of element {element}, at least {need_bytes} bytes, but {have_bytes} bytes are left for it"
     )]
     Short {
         /// Element.
         element: String,
-        /// How many the header promises.
+        /// Count by the header.
         count: u64,
-        /// What they take at least.
+        /// Smallest size for this count.
         need_bytes: u64,
-        /// What is there.
+        /// Actual size.
         have_bytes: u64,
     },
-    /// The body ends in the middle of an element, or has a word that is no number.
+    /// The body ends within an element, or has a word that is not a number.
     #[error(
         "element {element} number {index} of the PLY body is no row of numbers, or the file ends there"
     )]
     Row {
         /// Element.
         element: String,
-        /// Which, from 0.
+        /// Index, from 0.
         index: u64,
     },
-    /// A face of fewer than three corners.
+    /// A face has fewer than three corners.
     #[error("face {face} has {corners} corners; at least 3 are needed")]
     Corners {
         /// Face, from 0.
         face: u64,
-        /// Its corners.
+        /// Number of corners.
         corners: f64,
     },
-    /// A face that names a vertex which is not there.
+    /// A face refers to a vertex that does not exist.
     #[error("face {face} names vertex {index}, but there are vertices 0..{vertices}")]
     Index {
         /// Face or triangle, from 0.
         face: u64,
-        /// The number it names.
+        /// Index of the vertex.
         index: f64,
-        /// Vertices.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// A vertex with NaN or infinity.
+    /// A vertex is NaN or infinite.
     #[error("vertex {vertex}: coordinate {axis} is {value}; every coordinate must be finite")]
     NotFinite {
         /// Vertex, from 0.
@@ -97,25 +97,25 @@ pub enum MeshFileError {
         /// The value.
         value: f64,
     },
-    /// A binary STL of another length than its count says.
+    /// The length of a binary STL does not fit its count.
     #[error(
         "binary STL declares {declared} triangles, which are {need_bytes} bytes, but the file has {have_bytes}; it is truncated, padded or not STL"
     )]
     StlSize {
         /// Declared triangles.
         declared: u32,
-        /// What they take.
+        /// Size for this count.
         need_bytes: u64,
-        /// What is there.
+        /// Actual size.
         have_bytes: u64,
     },
-    /// A text STL that stops before `endsolid`.
+    /// A text STL ends without `endsolid`.
     #[error("the STL text ends at line {line} before `endsolid`; the file is truncated")]
     StlOpen {
-        /// Last line.
+        /// Number of the last line.
         line: usize,
     },
-    /// Vertices alone.
+    /// The file has vertices but no triangles.
     #[error("the mesh has {vertices} vertices but no triangles")]
     NoTriangles {
         /// Vertices.
@@ -151,7 +151,7 @@ fn parse(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
     let mesh = if bytes.starts_with(b"ply") {
         ply::parse(bytes)?
     } else if declared.is_some_and(|count| stl_bytes(count) == bytes.len() as u64) {
-        // By its size alone: many start with `solid` too.
+        // By the size alone, because many binary files start with `solid` too.
         binary_stl(bytes)
     } else if bytes.trim_ascii_start().starts_with(b"solid") {
         text::stl(bytes)?
@@ -172,7 +172,7 @@ fn parse(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
     check(mesh)
 }
 
-/// Finite vertices, triangles, and none that names a vertex which is not there.
+/// Checks that vertices are finite, triangles exist, and all vertex indices are valid.
 fn check(mesh: Mesh) -> Result<Mesh, MeshFileError> {
     let vertices = mesh.vertices.len();
     if mesh.triangles.is_empty() {
@@ -201,11 +201,11 @@ fn check(mesh: Mesh) -> Result<Mesh, MeshFileError> {
     Ok(mesh)
 }
 
-/// A file of exactly the length that its count says.
+/// Reads a file whose length fits its count exactly.
 fn binary_stl(bytes: &[u8]) -> Mesh {
     let records = bytes[STL_HEADER..].chunks_exact(STL_RECORD);
     joined(records.map(|record| {
-        // The facet's normal comes first; the corners' order says as much.
+        // The facet's normal is skipped, because the order of the corners defines it.
         let mut numbers = record[12..48]
             .as_chunks::<4>()
             .0
@@ -215,7 +215,7 @@ fn binary_stl(bytes: &[u8]) -> Mesh {
     }))
 }
 
-/// Triangles by their corners' positions; equal ones become one vertex, numbered by first use, minus zero as zero.
+/// Triangles from the positions of their corners; equal positions become one vertex, numbered by first use, with −0 equal to 0.
 fn joined(facets: impl Iterator<Item = [[f64; 3]; 3]>) -> Mesh {
     let mut numbers: HashMap<[u64; 3], u32> = HashMap::new();
     let mut mesh = Mesh {
@@ -234,7 +234,7 @@ fn joined(facets: impl Iterator<Item = [[f64; 3]; 3]>) -> Mesh {
     mesh
 }
 
-/// Cuts a face into a fan about its first corner.
+/// Splits a face into a fan about its first corner.
 fn fan(polygon: &[u32], triangles: &mut Vec<[u32; 3]>) {
     if let Some((&first, rest)) = polygon.split_first() {
         triangles.extend(rest.windows(2).map(|pair| [first, pair[0], pair[1]]));

@@ -4,10 +4,10 @@ use flankscope_gear_cad::Mesh;
 
 use super::{MeshFileError, fan};
 
-/// A header is looked for in so many bytes.
+/// Largest header, bytes.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// A type of number by its size and kind.
+/// A number type, by size and kind.
 #[derive(Clone, Copy)]
 enum Number {
     Signed(usize),
@@ -35,7 +35,7 @@ impl Number {
         bytes
     }
 
-    /// From the least significant byte on; every type fits a f64 without loss.
+    /// Value of little-endian bytes; every type fits into f64 without loss.
     fn value(self, bytes: [u8; 8]) -> f64 {
         let word = u64::from_le_bytes(bytes);
         match self {
@@ -53,7 +53,7 @@ impl Number {
 struct Property {
     name: String,
     number: Number,
-    /// Type of a list's length.
+    /// Type of a list's length field.
     length: Option<Number>,
 }
 
@@ -63,7 +63,7 @@ struct Element {
     properties: Vec<Property>,
 }
 
-/// Numbers of the body, one after the other.
+/// Reads the numbers of the body in sequence.
 enum Body<'a> {
     Text(std::slice::Split<'a, u8, fn(&u8) -> bool>),
     Binary { rest: &'a [u8], big_endian: bool },
@@ -166,7 +166,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
     Ok(mesh)
 }
 
-/// Whether this list names the corners of a face.
+/// Whether this list contains the vertex indices of a face.
 fn is_corners(element: &Element, property: &Property) -> bool {
     let named = matches!(property.name.as_str(), "vertex_indices" | "vertex_index");
     element.name == "face" && named && property.length.is_some()
@@ -245,7 +245,7 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>, usize), MeshFileError
     })
 }
 
-/// Whether so many elements can be in so many bytes.
+/// Checks that this many elements fit into the remaining bytes.
 fn check_length(
     elements: &[Element],
     body: &Body<'_>,
@@ -264,14 +264,14 @@ fn check_length(
             Some(length) => least(length),
         };
         let row: u64 = element.properties.iter().map(of_property).sum();
-        // The last number of a text needs nothing behind it.
+        // The last number of a text file needs no separator after it.
         let need_bytes = row
             .saturating_mul(element.count)
             .saturating_sub(match body {
                 Body::Text(_) => 1,
                 Body::Binary { .. } => 0,
             });
-        // An element without properties takes no space, and no time either.
+        // An element without properties takes no space, so any count would be possible.
         if need_bytes > have_bytes || (row == 0 && element.count > 0) {
             return Err(MeshFileError::Short {
                 element: element.name.clone(),

@@ -4,7 +4,7 @@ use flankscope_gear_cad::Mesh;
 
 use super::{MeshFileError, fan, joined};
 
-/// A line as it is quoted in an error.
+/// An error that quotes a line.
 fn refused(line: usize, text: &str, expected: &'static str) -> MeshFileError {
     MeshFileError::Line {
         line,
@@ -18,7 +18,7 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>
     (1..).zip(lines.map(String::from_utf8_lossy))
 }
 
-/// Three numbers, or nothing.
+/// Three numbers, or `None`.
 fn point<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<[f64; 3]> {
     let mut point = [0.0; 3];
     for value in &mut point {
@@ -62,7 +62,7 @@ pub(super) fn stl(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
     Ok(joined(facets.into_iter()))
 }
 
-/// Whether the first lines hold OBJ statements.
+/// Whether the first lines are OBJ statements.
 pub(super) fn looks_like_obj(bytes: &[u8]) -> bool {
     let head = &bytes[..bytes.len().min(1 << 16)];
     !head.contains(&0)
@@ -72,7 +72,7 @@ pub(super) fn looks_like_obj(bytes: &[u8]) -> bool {
         })
 }
 
-/// `v` and `f` lines; whatever else there is (normals, groups, materials) has no part in the surface.
+/// Reads `v` and `f` lines; all others (normals, groups, materials) do not affect the surface.
 pub(super) fn obj(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
     const FACE: &str = "`f` with at least three vertex numbers";
     let mut mesh = Mesh {
@@ -90,7 +90,7 @@ pub(super) fn obj(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
             Some("f") => {
                 polygon.clear();
                 for word in words {
-                    // `f v/vt/vn` counts from 1, or back from the last vertex by negative numbers.
+                    // `f v/vt/vn` counts from 1, or with negative numbers back from the last vertex.
                     let number = word.split('/').next().and_then(|n| n.parse::<i64>().ok());
                     let number = number.ok_or_else(|| refused(line, &text, FACE))?;
                     let have = mesh.vertices.len();
