@@ -117,7 +117,8 @@ fn deep_grooves_and_craters_are_never_passed() {
     }
 }
 
-/// Of an opening of 0.1 mm the camera sees one wall and nothing of the floor: some micrometres are read, whatever is gone.
+/// Of a V groove 0.1 mm wide and 300 µm deep the camera sees the upper tenth of one wall: some micrometres are read, whatever is gone.
+/// One that is 40 µm deep sends light back from clearly higher only, and may be passed: it is seen as what it is.
 #[test]
 fn an_opening_too_narrow_to_look_into_is_never_passed() {
     for depth_um in at_least(1, &[300, 40]) {
@@ -129,6 +130,10 @@ fn an_opening_too_narrow_to_look_into_is_never_passed() {
         ]);
         let [wear_um, u95_um, truth_um] = answered(&run, 40, "left");
         println!("{depth_um}: {wear_um:.1} ± {u95_um:.1}, true {truth_um:.1}");
+        if depth_um == 40 && run.code == 0 {
+            assert!((wear_um - truth_um).abs() <= u95_um);
+            continue;
+        }
         assert_eq!(run.code, 2, "{}", run.json["reason"]);
         let of_flank = |name: &str| {
             let flanks = run.json["features"].as_array().unwrap();
