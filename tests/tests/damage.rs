@@ -130,7 +130,7 @@ fn an_opening_too_narrow_to_look_into_is_never_passed() {
         ]);
         let [wear_um, u95_um, truth_um] = answered(&run, 40, "left");
         println!("{depth_um}: {wear_um:.1} ± {u95_um:.1}, true {truth_um:.1}");
-        if depth_um == 40 && run.code == 0 {
+        if *depth_um == 40 && run.code == 0 {
             assert!((wear_um - truth_um).abs() <= u95_um);
             continue;
         }
