@@ -114,9 +114,20 @@ fn reached_mm(discs: &Discs<'_>, cells: &[usize], level_mm: f64, noise_scale: f6
     }
 }
 
-/// Variance of a cell's points about their plane, less that of their noise, over the quantile that chi-squared of as many
-/// degrees of freedom has at [`SMOOTH_RATIO`], mm2; none of a cell with too few points.
-fn scatter_mm2(points: &[&WearSample]) -> Option<f64> {
+/// Scatter of a cell's points about their plane.
+#[derive(Clone, Copy)]
+struct Scatter {
+    /// Variance less that of the points' noise, over the quantile that chi-squared of as many degrees of freedom has at
+    /// [`SMOOTH_RATIO`], mm2.
+    excess_mm2: f64,
+    /// Variance of the points' noise, mm2.
+    noise_mm2: f64,
+    /// Degrees of freedom.
+    freedom: f64,
+}
+
+/// Scatter of a cell's points; none of a cell with too few.
+fn scatter(points: &[&WearSample]) -> Option<Scatter> {
     let count: f64 = points.iter().map(|p| p.merged).sum();
     let freedom = count - 3.0;
     if points.len() < 4 || freedom < 2.0 {
@@ -134,7 +145,11 @@ fn scatter_mm2(points: &[&WearSample]) -> Option<f64> {
     } else {
         0.0
     };
-    Some(squares / freedom / quantile - noise_mm2)
+    Some(Scatter {
+        excess_mm2: squares / freedom / quantile - noise_mm2,
+        noise_mm2,
+        freedom,
+    })
 }
 
 /// Sum of squares of points about the plane that fits them best, each counted as often as points were merged into it, mm2;
@@ -161,17 +176,22 @@ fn squares_about_plane(points: &[&WearSample]) -> Option<f64> {
 fn textures(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     let field = discs.field();
     let count = field.wear_mm.len();
-    let scatter = |cell| scatter_mm2(&discs.of_cell(cell).collect::<Vec<_>>());
-    let scatters: Vec<Option<f64>> = (0..count).map(scatter).collect();
+    let of_cell = |cell| scatter(&discs.of_cell(cell).collect::<Vec<_>>());
+    let scatters: Vec<Option<Scatter>> = (0..count).map(of_cell).collect();
     (0..count)
         .map(|cell| {
             let window = || field.window(cell, WINDOW);
-            let mut known: Vec<f64> = window().filter_map(|c| scatters[c]).collect();
+            let known: Vec<Scatter> = window().filter_map(|c| scatters[c]).collect();
             if known.len() < LEAST_CELLS {
                 return Unseen::default();
             }
-            let scatter_mm2 = quantile(&mut known, SMOOTH_RATIO);
-            if scatter_mm2.is_none_or(|mm2| mm2 <= ROUGHNESS_MM * ROUGHNESS_MM) {
+            let freedom: f64 = known.iter().map(|of| of.freedom).sum();
+            let noise_mm2 = known.iter().map(|of| of.noise_mm2).sum::<f64>() / known.len() as f64;
+            // Three standard deviations of the noise's own variance.
+            let by_chance_mm2 = 3.0 * noise_mm2 * (2.0 / freedom).sqrt();
+            let mut excesses: Vec<f64> = known.iter().map(|of| of.excess_mm2).collect();
+            let excess_mm2 = quantile(&mut excesses, SMOOTH_RATIO);
+            if excess_mm2.is_none_or(|mm2| mm2 <= ROUGHNESS_MM * ROUGHNESS_MM + by_chance_mm2) {
                 return Unseen::default();
             }
             let mut wears: Vec<f64> = window()
