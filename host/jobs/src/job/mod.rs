@@ -1,6 +1,7 @@
 //! Common parts of every job: a subject, the plan of its views, and the threads that evaluate the frames of each view.
 //!
-//! Frames come from one of two sources: a ready controller or recorded frames. Checks and scans differ only in planning, evaluation of a view, and conclusion.
+//! Frames come from one of two sources: a ready controller or recorded frames. Checks and scans differ only in planning, evaluation of
+//! a view, and conclusion.
 //!
 //! | file | holds |
 //! |---|---|
