@@ -233,7 +233,7 @@ impl Seals {
     /// Locks a history, all its copies and the station's memory of it against other processes of this station, until the result is dropped.
     ///
     /// # Errors
-    /// The lock cannot be created, or was held by another process for [`PATIENCE`].
+    /// The lock cannot be created, or was held by another process for 2 s.
     pub fn alone(&self, id: &str) -> Result<Alone, SealError> {
         let Some(path) = self.remembered(HISTORY, id.as_bytes()) else {
             return Ok(Alone { _lock: None });
