@@ -24,6 +24,7 @@ pub mod sensitivity;
 mod shared;
 mod sight;
 pub mod standing;
+mod texture;
 mod unseen;
 #[cfg(test)]
 pub(crate) use unseen::tests as looked;

@@ -1,0 +1,196 @@
+//! Texture of openings narrower than a cell: their floors are hidden, and single points do not show it.
+//!
+//! The points of one cell scatter by their noise and the surface's roughness, or there is structure below the cell. Windows of a disc's
+//! size are looked at: all of one may be rough, or a part of it be rougher.
+
+use flankscope_foundation::order::quantile;
+
+use super::disc::Discs;
+use super::field::WearSample;
+use super::unseen::Unseen;
+
+/// Scatter within a cell that counts as roughness, mm: a surface of Ra 3.2 um (grade N8 of ISO 1302) has an Rq of 4 um, of which a core's
+/// footprint, 0.09 mm long at a grazing angle, and the cell's own plane take some away (white roughness of 3 um is seen as 2.1 um at
+/// the median, and as 3.4 um in one window of a hundred).
+const ROUGHNESS_MM: f64 = 3.8e-3;
+/// Cells to each side of a cell that together are about a disc.
+const WINDOW: usize = 2;
+/// Least number of cells with an estimate in a window.
+const LEAST_CELLS: usize = 8;
+/// A window is textured when at least three quarters of its cells scatter that much: a single scratch crosses fewer.
+const SMOOTH_RATIO: f64 = 0.25;
+/// Standard normal quantile of [`SMOOTH_RATIO`].
+const SMOOTH_DEVIATE: f64 = -0.674_490;
+/// It is, too, when its points scatter more than that on average, mm: texture that fills a part of a disc only. Hairlines that are seen
+/// to their floor scatter in the few cells in which they begin and end.
+const PARTLY_ROUGH_MM: f64 = 4.2e-3;
+/// Cells of a window for each that a single straight edge crosses (at most nine of 25): an edge is no texture, so that no cell counts for
+/// more than that many times the limit in the average.
+const CELLS_PER_EDGE_CELL: f64 = 25.0 / 9.0;
+/// Quantiles of the depths in a window that stand for the unworn surface between the openings, and for the deepest that light
+/// came back from: one point in thirty may be wrong.
+const LAND_RATIO: f64 = 0.1;
+const DEEPEST_RATIO: f64 = 0.97;
+/// Scatter of a cell's points about their plane.
+#[derive(Clone, Copy)]
+struct Scatter {
+    /// Their variance, mm2.
+    variance_mm2: f64,
+    /// Variance of the points' noise, mm2.
+    noise_mm2: f64,
+    /// Degrees of freedom.
+    freedom: f64,
+}
+
+impl Scatter {
+    /// Variance less that of noise, mm2.
+    fn excess_mm2(&self) -> f64 {
+        self.variance_mm2 - self.noise_mm2
+    }
+
+    /// Variance less that of noise, were this cell's the [`SMOOTH_RATIO`] quantile of equal ones, mm2: Wilson and Hilferty 1931.
+    fn excess_as_quantile_mm2(&self) -> f64 {
+        let ninth = 2.0 / (9.0 * self.freedom);
+        let quantile = (1.0 - ninth + SMOOTH_DEVIATE * ninth.sqrt()).powi(3);
+        self.variance_mm2 / quantile - self.noise_mm2
+    }
+}
+
+/// Whether the cells of a window scatter more than noise and a rough surface do, in all of it or in a part.
+fn is_textured(cells: Vec<Scatter>) -> bool {
+    if cells.len() < LEAST_CELLS {
+        return false;
+    }
+    let freedom: f64 = cells.iter().map(|of| of.freedom).sum();
+    let mean =
+        |of: &dyn Fn(&Scatter) -> f64| cells.iter().map(of).sum::<f64>() / cells.len() as f64;
+    // Three standard deviations of the noise's own variance.
+    let by_chance_mm2 = 3.0 * mean(&|of| of.noise_mm2) * (2.0 / freedom).sqrt();
+    let exceeds = |mm2: f64, limit_mm: f64| mm2 > limit_mm * limit_mm + by_chance_mm2;
+    let most_mm2 = CELLS_PER_EDGE_CELL * PARTLY_ROUGH_MM * PARTLY_ROUGH_MM;
+    let mut all: Vec<f64> = cells.iter().map(Scatter::excess_as_quantile_mm2).collect();
+    exceeds(mean(&|of| of.excess_mm2().min(most_mm2)), PARTLY_ROUGH_MM)
+        || quantile(&mut all, SMOOTH_RATIO).is_some_and(|mm2| exceeds(mm2, ROUGHNESS_MM))
+}
+
+/// Scatter of a cell's points; none of a cell with too few.
+fn scatter(points: &[&WearSample]) -> Option<Scatter> {
+    let count: f64 = points.iter().map(|p| p.merged).sum();
+    let freedom = count - 3.0;
+    if points.len() < 4 || freedom < 2.0 {
+        return None;
+    }
+    let of_noise = points.iter().map(|p| p.variance_mm2 * p.merged);
+    let noise_mm2 = of_noise.sum::<f64>() / count;
+    let within_mm2: f64 = points.iter().map(|p| p.within_mm2).sum();
+    let squares = squares_about_plane(points)? + within_mm2;
+    let noise_mm2 = if noise_mm2.is_finite() {
+        noise_mm2
+    } else {
+        0.0
+    };
+    Some(Scatter {
+        variance_mm2: squares / freedom,
+        noise_mm2,
+        freedom,
+    })
+}
+
+/// Sum of squares of points about the plane that fits them best, each counted as often as points were merged into it, mm2;
+/// none where they lie on a line.
+fn squares_about_plane(points: &[&WearSample]) -> Option<f64> {
+    let mut normal = nalgebra::Matrix3::<f64>::zeros();
+    let mut right = nalgebra::Vector3::<f64>::zeros();
+    let [x0, y0] = points[0].at_mm;
+    let row = |p: &WearSample| nalgebra::Vector3::new(1.0, p.at_mm[0] - x0, p.at_mm[1] - y0);
+    for point in points {
+        let row = row(point);
+        normal += point.merged * row * row.transpose();
+        right += point.merged * point.wear_mm * row;
+    }
+    let plane = normal.cholesky()?.solve(&right);
+    let squares = points
+        .iter()
+        .map(|p| p.merged * (p.wear_mm - row(p).dot(&plane)).powi(2));
+    Some(squares.sum())
+}
+
+/// Unseen part of every cell by texture. `slant` is the tangent of the angle between rays and normal.
+pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
+    let field = discs.field();
+    let count = field.wear_mm.len();
+    let of_cell = |cell| scatter(&discs.of_cell(cell).collect::<Vec<_>>());
+    let scatters: Vec<Option<Scatter>> = (0..count).map(of_cell).collect();
+    (0..count)
+        .map(|cell| {
+            let cells: Vec<usize> = field.window(cell, WINDOW).collect();
+            if is_textured(cells.iter().filter_map(|&c| scatters[c]).collect()) {
+                opening(discs, &cells, slant)
+            } else {
+                Unseen::default()
+            }
+        })
+        .collect()
+}
+
+/// What textured cells hide: openings as deep at their deepest seen point as light reaches into them.
+fn opening(discs: &Discs<'_>, cells: &[usize], slant: f64) -> Unseen {
+    let points = cells.iter().flat_map(|&c| discs.of_cell(c));
+    let mut wears: Vec<f64> = points.map(|p| p.wear_mm).collect();
+    let mean_mm = wears.iter().sum::<f64>() / wears.len() as f64;
+    let [land_mm, deepest_mm] =
+        [LAND_RATIO, DEEPEST_RATIO].map(|ratio| quantile(&mut wears, ratio).unwrap_or(mean_mm));
+    let reach_mm = (deepest_mm - land_mm).max(ROUGHNESS_MM);
+    // Even depths from nought to the deepest: the mean of an opening's is half of that.
+    let share = 2.0 * (mean_mm - land_mm) / reach_mm;
+    Unseen::opening(share, reach_mm * slant, deepest_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+
+    #[test]
+    fn squares_about_a_plane_are_those_about_the_best_of_many() {
+        let points: Vec<WearSample> = (0..7)
+            .map(|i| {
+                let u = |k: u64| uniform(17, 3 * i + k);
+                WearSample::of_point([u(0), u(1)], u(2) + 2.0 * u(0), 1e-6)
+            })
+            .collect();
+        let of: Vec<&WearSample> = points.iter().collect();
+        let least = squares_about_plane(&of).unwrap();
+        let squares = |[a, b, c]: [f64; 3]| -> f64 {
+            let off = |p: &WearSample| p.wear_mm - a - b * p.at_mm[0] - c * p.at_mm[1];
+            points.iter().map(|p| off(p).powi(2)).sum()
+        };
+        // Downhill in ever smaller steps from anywhere.
+        let (mut best, mut step) = ([0.0; 3], 1.0);
+        while step > 1e-7 {
+            let tries = (0..6).map(|k| {
+                let mut next = best;
+                next[k / 2] += if k % 2 == 0 { step } else { -step };
+                next
+            });
+            let next = tries
+                .min_by(|a, b| squares(*a).total_cmp(&squares(*b)))
+                .unwrap();
+            if squares(next) < squares(best) {
+                best = next;
+            } else {
+                step *= 0.5;
+            }
+        }
+        assert!(
+            (squares(best) - least).abs() < 1e-6,
+            "{} {least}",
+            squares(best)
+        );
+        // On a line no plane fits better than others.
+        let line: Vec<WearSample> = (0..5)
+            .map(|i| WearSample::of_point([f64::from(i), 2.0 * f64::from(i)], 0.0, 1e-6))
+            .collect();
+        assert_eq!(squares_about_plane(&line.iter().collect::<Vec<_>>()), None);
+    }
+}
