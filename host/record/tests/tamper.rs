@@ -698,7 +698,8 @@ fn a_refused_opening_leaves_nothing_beside_the_file() {
             })
         }
     };
-    let prepare: [(&str, &dyn Fn(&Path)); 6] = [
+    type Prepare<'a> = &'a dyn Fn(&Path);
+    let prepare: [(&str, Prepare<'_>); 6] = [
         ("an older copy", &|to| std::fs::write(to, &older).unwrap()),
         (
             "a trigger",

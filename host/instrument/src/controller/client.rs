@@ -301,7 +301,9 @@ impl Client {
             }
             match self.incoming(end.min(self.next_heartbeat)).await? {
                 // Only events are wanted here; of replies to heartbeats, only that they come, and after which event.
-                Some(incoming) => drop(self.sort(incoming)?),
+                Some(incoming) => {
+                    self.sort(incoming)?;
+                }
                 None if Instant::now() < end => {}
                 None => {
                     return Err(ClientError::NoEvent {
