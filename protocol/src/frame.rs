@@ -10,7 +10,8 @@
 //!
 //! Sequence numbers: the host counts its commands; a retry repeats session and sequence, so the controller can tell it
 //! from a new command and answer again without doing it again. A reply's `ack` is the command's sequence. Events have
-//! a count of their own in `sequence`, so the host sees when one is missing.
+//! a count of their own in `sequence`, from 1 in each session, and a reply repeats the number of the latest one: so the
+//! host sees when one is missing, the last one included.
 
 use crate::message::{Command, Event, Reply};
 use crc::{CRC_32_ISCSI, Crc};
@@ -74,7 +75,7 @@ impl Message for Event {
 pub struct Header {
     /// Link session, chosen by the host in its hello; 0 before any.
     pub session: u32,
-    /// The sender's count: per command for the host, per event for the controller.
+    /// The sender's count: per command for the host, per event for the controller; in a reply that of the latest event.
     pub sequence: u16,
     /// In a reply: sequence of the command it answers. In an event: of the last command answered.
     pub ack: u16,

@@ -234,3 +234,45 @@ fn the_tool_file_of_the_page_is_one() {
     let tool = Tool::load(&demo).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(tool.inspected(), [12, 40, 68]);
 }
+
+/// `**Cleanup.**` among the guarantees has a row `| Cleanup | ..` whose files and tests are there.
+#[test]
+fn every_guarantee_names_tests_that_exist() {
+    let text = read("SECURITY.md");
+    let section = |heading: &str| {
+        let from = text.find(heading).expect("a heading");
+        text[from + heading.len()..]
+            .split("\n## ")
+            .next()
+            .unwrap_or_default()
+    };
+    let promised = section("\n## Guarantees\n").lines();
+    let promised: Vec<&str> = promised
+        .filter_map(|line| line.strip_prefix("**")?.split_once(".**"))
+        .map(|(promise, _)| promise)
+        .collect();
+    let rows = section("\n## Tests\n").lines().filter_map(|line| {
+        let mut cells = line.strip_prefix("| ")?.split(" | ");
+        Some((cells.next()?, cells.next()?))
+    });
+    let rows: Vec<_> = rows.filter(|(what, _)| *what != "guarantee").collect();
+    let tested: Vec<&str> = rows.iter().map(|(promise, _)| *promise).collect();
+    assert_eq!(tested, promised);
+    for (promise, tests) in rows {
+        let (mut file, mut named) = (String::new(), 0);
+        for word in tests.split('`').skip(1).step_by(2) {
+            if word.ends_with(".rs") {
+                file = read(word);
+                // A file without test functions is a test as a whole.
+                named += usize::from(!file.contains("#[test]"));
+            } else if word.contains('_') {
+                let lines: Vec<&str> = file.lines().map(str::trim_start).collect();
+                let test = [&"#[test]", &&*format!("fn {word}() {{")];
+                let there = lines.windows(2).any(|pair| pair.iter().eq(test));
+                assert!(there, "{promise}: {word}");
+                named += 1;
+            }
+        }
+        assert!(named > 0, "{promise}");
+    }
+}

@@ -165,19 +165,33 @@ fn an_unsigned_head_says_so_in_every_result() {
     assert_eq!(inspect(&["--teeth", "40"]).json["head"]["seal"], "built in");
 }
 
-/// The instrument's side stands still for some seconds while frames are exposed; by its own clock nothing was late.
-#[test]
-fn a_stall_between_trigger_and_frame_is_evidence() {
+/// A check whose bench stands still for some time from its first frame on.
+fn stalled(ms: u64, station: &str) -> Value {
     use std::io::{BufRead, BufReader};
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("station.toml");
+    std::fs::write(&file, station).unwrap();
     let mut check = flankscope()
-        .args(["inspect", "--json", "-", "--teeth", "40", "--speed", "1"])
+        .args([
+            "inspect",
+            "--json",
+            "-",
+            "--teeth",
+            "40",
+            "--speed",
+            "1",
+            "--link",
+            "sim",
+            "--station",
+        ])
+        .arg(&file)
         .stderr(std::process::Stdio::piped())
         .stdout(std::process::Stdio::piped())
         .spawn()
         .unwrap();
     let host = check.id();
     let mut said = BufReader::new(check.stderr.take().unwrap());
-    // Said when the first of them is exposed.
+    // Said when the first frame is exposed.
     let mut line = String::new();
     while !line.contains("LED on") {
         line.clear();
@@ -187,18 +201,34 @@ fn a_stall_between_trigger_and_frame_is_evidence() {
     let bench: i32 = children.split_whitespace().next().unwrap().parse().unwrap();
     let bench = rustix::process::Pid::from_raw(bench).unwrap();
     rustix::process::kill_process(bench, rustix::process::Signal::STOP).unwrap();
-    std::thread::sleep(std::time::Duration::from_secs(3));
+    std::thread::sleep(std::time::Duration::from_millis(ms));
     rustix::process::kill_process(bench, rustix::process::Signal::CONT).unwrap();
     std::thread::spawn(move || for _ in said.lines() {});
     let output = check.wait_with_output().unwrap();
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// The instrument's side stands still while frames are exposed, for less than the link takes for a loss; by its own clock nothing
+/// was late.
+#[test]
+fn a_stall_between_trigger_and_frame_is_evidence() {
+    let found = stalled(1200, "[controller]\nstall_ms = 500\n");
     let (verdict, frames) = (&found["verdict"], &found["frames"]);
-    assert!(frames["late_ms"].as_f64().unwrap() > 2000.0, "{frames}");
+    assert!(frames["late_ms"].as_f64().unwrap() > 1000.0, "{frames}");
     // Captured again and judged, or given up: never as if nothing had been.
     assert!(
         verdict == "indeterminate" || frames["recaptured_views"].as_u64() > Some(0),
         "{verdict} {frames}"
     );
+}
+
+/// Nothing is answered for longer: the link counts as lost, whatever comes afterwards.
+#[test]
+fn a_controller_that_answers_nothing_is_given_up() {
+    let found = stalled(6000, "");
+    assert_eq!(found["verdict"], "indeterminate");
+    let reason = found["reason"].as_str().unwrap();
+    assert!(reason.contains("answers nothing for 2000 ms"), "{reason}");
 }
 
 /// A check of a bench with or without damage, stored.

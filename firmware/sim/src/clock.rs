@@ -9,6 +9,8 @@ struct ThreadClock {
     now_us: u64,
     /// Few timers are ever pending (one or two per task), so a plain list is the fastest queue.
     timers: Vec<(u64, Waker)>,
+    /// Bus transactions under way.
+    transactions: u32,
 }
 
 thread_local! {
@@ -47,6 +49,28 @@ embassy_time_driver::time_driver_impl!(static DRIVER: ThreadClocks = ThreadClock
 #[must_use]
 pub fn now_us() -> u64 {
     CLOCK.with_borrow(|clock| clock.now_us)
+}
+
+/// A transaction on a bus. While one lives, time goes on although it is held: the task that waits for its end does nothing else
+/// meanwhile, and would leave the host without an answer for as long as the hold lasts.
+pub(crate) struct Transaction(());
+
+impl Transaction {
+    pub(crate) fn begin() -> Self {
+        CLOCK.with_borrow_mut(|clock| clock.transactions += 1);
+        Self(())
+    }
+}
+
+impl Drop for Transaction {
+    fn drop(&mut self) {
+        CLOCK.with_borrow_mut(|clock| clock.transactions = clock.transactions.saturating_sub(1));
+    }
+}
+
+/// Whether a bus transaction is under way.
+pub(crate) fn in_transaction() -> bool {
+    CLOCK.with_borrow(|clock| clock.transactions > 0)
 }
 
 /// A new simulation begins on this thread.

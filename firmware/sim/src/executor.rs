@@ -103,7 +103,8 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// Holds virtual time until the guard is dropped. Tasks already due still run; holds may overlap.
+    /// Holds virtual time until the guard is dropped. Tasks already due still run, and a bus transaction that has begun ends;
+    /// holds may overlap.
     #[must_use]
     pub fn hold(&self) -> Hold {
         let mut shared = self.bell.lock();
@@ -266,6 +267,11 @@ impl Sim {
             }
             let deadline = clock::next_deadline_us();
             shared = match (deadline, self.mode) {
+                (Some(at), _) if shared.holds > 0 && clock::in_transaction() => {
+                    drop(shared);
+                    clock::advance_to(at);
+                    return true;
+                }
                 _ if shared.holds > 0 && !self.follows() => self.sleep(shared, None),
                 (None, Clock::Stepped) if Arc::strong_count(&self.alive) == 1 => return false,
                 (None, _) => self.sleep(shared, None),

@@ -1,5 +1,6 @@
 //! All lines and ports between the controller and the devices around it, and the controller on its side of them.
 
+use crate::clock::Transaction;
 use crate::executor::Sim;
 use crate::i2c::I2cBus;
 use crate::line::Line;
@@ -11,6 +12,7 @@ use embassy_sync::channel::Channel;
 use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
+use flankscope_controller::lens::{Lens, LensFault};
 use flankscope_controller::liveness::Task;
 use flankscope_controller::max14574::Max14574;
 use flankscope_controller::stage::esp301::Esp301;
@@ -18,8 +20,8 @@ use flankscope_controller::{
     CommandHandler, LightEngine, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer,
     sequence, serve_stage,
 };
-use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
+use flankscope_protocol::{LensCounts, Milliamps};
 use std::rc::Rc;
 
 /// The lens driver's outputs that have a lens: the camera's on the first, the projector's on the second.
@@ -40,6 +42,24 @@ impl CurrentCell {
 impl CurrentSetting for CurrentCell {
     fn set(&mut self, current: Milliamps) {
         self.0.set(current.get());
+    }
+}
+
+/// A lens driver; whatever it is asked to do is one transaction.
+struct DrivenLens(Max14574<I2cBus>);
+
+impl Lens for DrivenLens {
+    async fn off(&mut self) -> bool {
+        let _transaction = Transaction::begin();
+        self.0.off().await
+    }
+    async fn set(&mut self, counts: LensCounts) -> Result<(), LensFault> {
+        let _transaction = Transaction::begin();
+        self.0.set(counts).await
+    }
+    async fn check(&mut self, counts: LensCounts) -> Result<(), LensFault> {
+        let _transaction = Transaction::begin();
+        self.0.check(counts).await
     }
 }
 
@@ -74,6 +94,7 @@ impl PatternBus {
 
 impl PatternPort for PatternBus {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
+        let _transaction = Transaction::begin();
         // What is left of a transaction that was given up.
         self.requests.clear();
         self.answers.clear();
@@ -299,7 +320,7 @@ pub(crate) fn tasks(
             ready: board.camera_ready,
             exposing: board.camera_exposing,
         },
-        lens: Max14574::new(board.lens_bus, LENS_OUTPUTS),
+        lens: DrivenLens(Max14574::new(board.lens_bus, LENS_OUTPUTS)),
     };
     let press = board.press.pins();
     let handler = CommandHandler::new(Sequence::new(config), boot);

@@ -24,8 +24,8 @@ use flankscope_record::origin::Link;
 use crate::camera_process::CameraProcess;
 use crate::scene::Scene;
 
-/// Longest silence of the bench: its clock stops while it renders, and multiple reflections of light take minutes per view on a
-/// busy machine. A bench that ends closes its port.
+/// Longest time without an event of the bench: its clock stops while it renders, and multiple reflections of light take minutes
+/// per view on a busy machine. It answers meanwhile.
 const RENDERING: Duration = Duration::from_secs(600);
 
 /// Write the demo's files or an example of a bench file; run the simulated bench.
@@ -174,6 +174,8 @@ pub struct Bench {
     camera: Option<CameraProcess>,
     /// Whether its clock is real time.
     real_time: bool,
+    /// Whether its controller is emulated.
+    emulated: bool,
 }
 
 /// Writes the demo tool's folder and returns it.
@@ -282,6 +284,7 @@ impl Bench {
                 hello,
                 camera: None,
                 real_time: setup.speed.value == Speed(1.0),
+                emulated: *link == Link::Qemu,
             },
             Err(_) => {
                 // The bench has printed the reason on standard error.
@@ -310,6 +313,12 @@ impl Bench {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
             stall: settings.client().stall.filter(|_| self.real_time),
+            // An emulated controller stands still, and answers nothing, while the bench renders.
+            unanswered: if self.emulated {
+                ClientSettings::default().silence
+            } else {
+                ClientSettings::default().unanswered
+            },
             // In real time the bench must keep up as a press does; late messages count as such.
             silence: if self.real_time {
                 ClientSettings::default().silence

@@ -7,7 +7,9 @@ use anyhow::Context;
 use flankscope_foundation::display::plain;
 use flankscope_foundation::files::stream_whole;
 use flankscope_foundation::normal::COVERAGE_95;
-use flankscope_record::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
+use flankscope_record::history::{
+    Check, Forecast, History, LEAST_POINTS, clock_set_back, csv, series,
+};
 use flankscope_report::{Words, figure, history_html, rate, remaining};
 use serde_json::json;
 
@@ -89,6 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "last": checks.last(),
         "flanks": forecasts,
         "acknowledgements": acknowledgements,
+        "clock_set_back": clock_set_back(&checks),
     }))?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
         print_table(tool, &checks, &forecasts, args)?;
@@ -124,6 +127,9 @@ fn print_table(
         )?;
         write_origin(&mut out, &last.origin, &last.at)?;
         writeln!(out)?;
+        for said in clock_set_back(checks) {
+            writeln!(out, "{said}")?;
+        }
     }
     let words = Words::of(forecasts.iter().map(|of| &of.id));
     let wide = widest(forecasts.iter().map(|of| &of.id));

@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if interrupt::is_requested() {
         say(&format!(
             "interrupted after {} checks; the press takes what nobody repeats for a no-go",
-            log.checks.len()
+            log.count
         ));
     }
     let mut complaints = Complaints::default();
@@ -150,6 +150,8 @@ fn acknowledgements() -> mpsc::Receiver<String> {
 struct Log<'a> {
     args: &'a Args,
     start: Instant,
+    count: u64,
+    /// All of them for `--json`, whose document ends with the watch; empty without it, because a watch may last for months.
     checks: Vec<Value>,
     papers: Papers,
 }
@@ -159,6 +161,7 @@ impl<'a> Log<'a> {
         Self {
             args,
             start: Instant::now(),
+            count: 0,
             checks: Vec::new(),
             papers,
         }
@@ -222,8 +225,11 @@ impl<'a> Log<'a> {
         let mut complaints = Complaints::default();
         complaints.hear_of(self.papers.lines.as_mut(), checked);
         complaints.hear_of(self.papers.page.as_mut(), &mut checked.inspection);
-        let document = serde_json::to_value(&*checked).map_err(Into::into);
-        self.checks.extend(complaints.hear(document));
+        self.count += 1;
+        if self.args.common.json.is_some() {
+            let document = serde_json::to_value(&*checked).map_err(Into::into);
+            self.checks.extend(complaints.hear(document));
+        }
         let Inspection { verdict, .. } = checked.inspection;
         let quiet = self.args.common.quiet;
         let _ = complaints.end(verdict, &checked.inspection.sentence(), quiet);

@@ -146,12 +146,44 @@ pub fn default_base() -> Result<PathBuf, RootError> {
 }
 
 fn look_for_base() -> Result<PathBuf, RootError> {
-    if let Some(runtime) = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from)
-        && is_private(&runtime)
+    let runtime = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    base_of(runtime.as_deref(), &std::env::temp_dir())
+}
+
+fn base_of(runtime: Option<&Path>, temporary: &Path) -> Result<PathBuf, RootError> {
+    let Some(runtime) = runtime.filter(|runtime| is_private(runtime)) else {
+        return base_in(temporary);
+    };
+    let name = name_in_temporary();
+    sweep_free(&temporary.join(&name));
+    fallbacks(temporary, &name).for_each(|fallback| sweep_free(&fallback));
+    Ok(runtime.join("flankscope"))
+}
+
+fn name_in_temporary() -> String {
+    format!("flankscope-{}", getuid().as_raw())
+}
+
+/// Bases of this user that earlier starts made because somebody else had the usual one's name.
+fn fallbacks(temporary: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
+    let beginning = format!("{name}-");
+    let entries = std::fs::read_dir(temporary).into_iter().flatten().flatten();
+    let others = entries.filter(move |entry| {
+        let other = entry.file_name();
+        other.to_string_lossy().starts_with(&beginning)
+    });
+    others
+        .map(|entry| entry.path())
+        .filter(|path| is_private(path))
+}
+
+/// Sweeps a base in which perhaps nobody starts ever again.
+fn sweep_free(base: &Path) {
+    if is_private(base)
+        && let Ok(_base) = lock_of_base(base)
     {
-        return Ok(runtime.join("flankscope"));
+        sweep(base);
     }
-    base_in(&std::env::temp_dir())
 }
 
 fn base_in(temporary: &Path) -> Result<PathBuf, RootError> {
@@ -169,34 +201,19 @@ fn base_in(temporary: &Path) -> Result<PathBuf, RootError> {
             mode: meta.mode() & 0o7777,
         });
     }
-    let name = format!("flankscope-{}", getuid().as_raw());
+    let name = name_in_temporary();
     let usual = temporary.join(&name);
-    // Taken by earlier starts, so that there are not ever more of them.
-    let others = std::fs::read_dir(temporary)
-        .map_err(failed)?
-        .flatten()
-        .filter(|entry| {
-            let other = entry.file_name();
-            other.to_string_lossy().starts_with(&format!("{name}-"))
-        });
-    let mut others = others
-        .map(|entry| entry.path())
-        .filter(|path| is_private(path));
     match make_private(&usual) {
         Ok(()) => {
-            // Nobody may ever start in them again.
-            for other in others {
-                if let Ok(_base) = lock_of_base(&other) {
-                    sweep(&other);
-                }
-            }
+            fallbacks(temporary, &name).for_each(|fallback| sweep_free(&fallback));
             return Ok(usual);
         }
         Err(error) => {
             tracing::warn!(%error, "somebody else may write to {}: another folder is taken", usual.display());
         }
     }
-    if let Some(mine) = others.next() {
+    // One that is there, so that there are not ever more of them.
+    if let Some(mine) = fallbacks(temporary, &name).next() {
         return Ok(mine);
     }
     let fresh = tempfile::Builder::new()
@@ -247,7 +264,7 @@ fn make_private(path: &Path) -> io::Result<()> {
 }
 
 /// Opens for reading and writing, never through a link, for this user alone where it is made.
-fn private_file() -> OpenOptions {
+pub(crate) fn private_file() -> OpenOptions {
     let mut options = OpenOptions::new();
     options
         .read(true)
@@ -411,12 +428,22 @@ mod tests {
         });
         assert!(open != usual && link == open, "{}", open.display());
         // What a killed run left there goes once the usual name is free.
-        let left = open.join("flankscope_0_0_");
-        std::fs::create_dir(&left).unwrap();
-        std::fs::write(left.join(LOCK_FILE), "").unwrap();
+        let leave = |base: &Path| {
+            let left = base.join("flankscope_0_0_");
+            std::fs::create_dir(&left).unwrap();
+            std::fs::write(left.join(LOCK_FILE), "").unwrap();
+            left
+        };
+        let left = leave(&open);
         std::fs::remove_file(&usual).unwrap();
         assert_eq!(base_in(temporary.path()).unwrap(), usual);
         assert!(!left.exists());
+        // So does what was left in either, once there is a folder of the session.
+        let left = [leave(&open), leave(&usual)];
+        let runtime = tempfile::tempdir().unwrap();
+        let base = base_of(Some(runtime.path()), temporary.path()).unwrap();
+        assert!(base.starts_with(runtime.path()));
+        assert!(left.iter().all(|left| !left.exists()), "{left:?}");
         std::fs::remove_dir_all(&usual).unwrap();
         std::os::unix::fs::symlink(&elsewhere, &usual).unwrap();
         if mine == 0 {

@@ -1,12 +1,13 @@
 //! The private place of one station's shared memory.
 
+use std::io::Write;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use rustix::process::getuid;
 
 use crate::node;
-use crate::private::{RunFolder, segments};
+use crate::private::{RunFolder, SHM_FOLDER, private_file, segments};
 use crate::root_error::{LONGEST_BASE, RootError};
 
 /// A private folder for the service files and a private prefix for the shared-memory segments.
@@ -19,15 +20,19 @@ pub struct SharedRoot {
     prefix: String,
 }
 
-/// A spoiled root is an attack or an accident within microseconds; three in a row are neither.
+/// What the library calls the counter that all processes of a root share, behind the root's prefix.
+const COUNTER: &str = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.0_10_0.global_mgmt";
+/// Its content: the library's version 0.10.0, then the count and padding.
+const COUNTER_START: [u8; 16] = [0, 0, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+
+/// Fresh names that are tried: what made one unusable cannot have foreseen the next.
 const TRIES: u32 = 3;
 
 impl SharedRoot {
     /// Makes a fresh root under `base` and sweeps away those of dead owners.
     ///
-    /// The library makes the counter that all processes of a root share writable for everybody, and asks nobody. It is made
-    /// here, before anything else, and closed to others. Who spoils it within that moment spoils a root of which
-    /// nothing is used yet: another one is taken.
+    /// The library would make the counter writable for everybody, and whoever opened it then could spoil it for as long as they
+    /// like. It takes one that is there already: it is made here, for this user alone from the first moment.
     ///
     /// # Errors
     /// The folder cannot be made, or shared memory cannot be used.
@@ -42,23 +47,38 @@ impl SharedRoot {
             let folder = RunFolder::create(base)?;
             let prefix = folder.name();
             let root = Self { folder, prefix };
-            match node::make(root.path(), root.prefix()).map(drop) {
-                Ok(()) => {
-                    root.close_to_others();
-                    return Ok(root);
-                }
-                Err(error) => {
-                    let (reason, culprit) = (error.to_string(), root.open_to_others().join(", "));
-                    tracing::warn!(%reason, culprit, "shared memory is spoiled; another name is taken");
-                    if tries == TRIES {
-                        return Err(RootError::Spoiled {
-                            tries,
-                            reason,
-                            culprit,
-                        });
-                    }
-                }
+            let Err(reason) = root.begin() else {
+                return Ok(root);
+            };
+            let culprit = root.open_to_others().join(", ");
+            tracing::warn!(
+                reason,
+                culprit,
+                "shared memory cannot be used; another name is taken"
+            );
+            if tries == TRIES {
+                return Err(RootError::Spoiled {
+                    tries,
+                    reason,
+                    culprit,
+                });
             }
+        }
+    }
+
+    /// Makes the counter, and sees that the library uses it; otherwise says why not.
+    fn begin(&self) -> Result<(), String> {
+        let counter = Path::new(SHM_FOLDER).join(format!("{}{COUNTER}", self.prefix));
+        let made = private_file().create_new(true).open(&counter);
+        made.and_then(|mut file| file.write_all(&COUNTER_START))
+            .map_err(|error| format!("{}: {error}", counter.display()))?;
+        node::make(self.path(), self.prefix()).map_err(|error| error.to_string())?;
+        match std::fs::read(&counter) {
+            Ok(now) if now != COUNTER_START => Ok(()),
+            _ => Err(format!(
+                "{} is not what the library counts with",
+                counter.display()
+            )),
         }
     }
 
@@ -89,14 +109,6 @@ impl SharedRoot {
         segments(&self.prefix)
             .filter_map(|segment| Some(segment.metadata().ok()?.len()))
             .sum()
-    }
-
-    fn close_to_others(&self) {
-        use std::os::unix::fs::PermissionsExt;
-        let closed = std::fs::Permissions::from_mode(0o600);
-        for segment in segments(&self.prefix) {
-            let _ = std::fs::set_permissions(segment.path(), closed.clone());
-        }
     }
 
     /// Segments of this root that others made or may write to, each with owner and mode.
@@ -155,10 +167,15 @@ mod tests {
         };
         drop(node::make(bare.path(), bare.prefix()).unwrap());
         let open = bare.open_to_others();
+        let counter = Path::new(SHM_FOLDER).join(format!("{}{COUNTER}", bare.prefix()));
         assert!(
-            open.len() == 1 && open[0].contains("global_mgmt"),
+            open.len() == 1 && open[0].starts_with(&*counter.to_string_lossy()),
             "{open:?}"
         );
+        // It counts one node.
+        let mut content = std::fs::read(&counter).unwrap();
+        content[8] -= 1;
+        assert_eq!(content, COUNTER_START);
         for segment in segments(bare.prefix()) {
             std::fs::remove_file(segment.path()).unwrap();
         }

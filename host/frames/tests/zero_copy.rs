@@ -249,6 +249,36 @@ fn after_kill_of_either_side_the_next_run_works() {
     }
 }
 
+/// There is room for one camera: whoever comes second publishes nothing, and the first one's frames go on.
+#[test]
+fn a_rival_camera_cannot_publish() {
+    let base = tempfile::tempdir().unwrap();
+    let root = SharedRoot::create(base.path()).unwrap();
+    let mut receiver = FrameReceiver::create(&root).unwrap();
+    let _camera = Camera::start(&root);
+    receiver
+        .arm(Arm {
+            session: 5,
+            first_view: 0,
+            views: 1,
+            exposures: 1,
+            patterns: 9,
+        })
+        .unwrap();
+    assert_eq!(receive(&mut receiver).header().counter, 0);
+    let root = SharedRoot::of_owner(root.path()).unwrap();
+    let rival = FrameSender::open(&root, Overflow::Drop);
+    let error = rival.unwrap_err().to_string();
+    assert!(error.contains("cannot publish frames"), "{error}");
+    for counter in 1..10 {
+        let frame = receive(&mut receiver);
+        assert_eq!(
+            (frame.header().session, frame.header().counter),
+            (5, counter)
+        );
+    }
+}
+
 /// A camera that says nothing holds nobody up, however little is left of a wait: sockets count microseconds, and none is for ever.
 #[test]
 fn the_shortest_waits_end() {

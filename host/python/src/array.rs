@@ -6,7 +6,9 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-use crate::error::{ArrayError, NotFiniteError};
+use flankscope_metrology::io::cloud::MOST_COORDINATE_MM;
+
+use crate::error::{ArrayError, GeometryError, NotFiniteError};
 
 /// An array of one type, as many axes as `D` and a shape that `fits`, its rows one after the other in memory.
 pub fn borrow<'py, T: Element, D: Dimension>(
@@ -71,13 +73,21 @@ impl<'py, T: Element> Rows<'py, T> {
     }
 }
 
-/// Points, borrowed: float64, (n, 3), all of them finite.
+/// Points, borrowed: float64, (n, 3), all of them finite and no farther than [`MOST_COORDINATE_MM`].
 pub fn points<'py>(name: &str, array: &Bound<'py, PyAny>) -> PyResult<Rows<'py, f64>> {
     let rows = Rows::<f64>::of(name, array)?;
     let all = rows.rows().as_flattened();
     if let Some(at) = all.iter().position(|c| !c.is_finite()) {
         return Err(NotFiniteError::new_err(format!(
             "{name}[{}, {}] is {}; every coordinate must be finite: {name}[np.isfinite({name}).all(axis=1)] leaves such points out",
+            at / 3,
+            at % 3,
+            all[at]
+        )));
+    }
+    if let Some(at) = all.iter().position(|c| c.abs() > MOST_COORDINATE_MM) {
+        return Err(GeometryError::new_err(format!(
+            "{name}[{}, {}] is {:e} mm; at most {MOST_COORDINATE_MM:e} mm either way is needed",
             at / 3,
             at % 3,
             all[at]

@@ -158,6 +158,8 @@ class Border(unittest.TestCase):
     def test_names_what_is_wrong_with_an_array_and_what_would_be_right(self):
         holes = self.points.copy()
         holes[17, 2] = np.nan
+        far = self.points.copy()
+        far[3, 1] = 1e300
         for array, error, words in [
             (self.points.astype(np.float32), fs.ArrayError, "float32; float64"),
             (self.points.astype(">f8"), fs.ArrayError, "float64"),
@@ -168,6 +170,7 @@ class Border(unittest.TestCase):
             (self.points.tolist(), fs.ArrayError, "list"),
             (holes, fs.NotFiniteError, r"points_mm\[17, 2\] is NaN"),
             (np.full((1, 3), np.inf), fs.NotFiniteError, "inf"),
+            (far, fs.GeometryError, r"points_mm\[3, 1\] is 1e300 mm; at most 1e9 mm"),
         ]:
             with self.assertRaisesRegex(error, words):
                 fs.deviation(array, self.mesh)
@@ -181,6 +184,8 @@ class Border(unittest.TestCase):
             fs.Mesh(vertices, triangles + np.uint32(5))
         with self.assertRaises(fs.GeometryError):
             fs.Mesh(vertices, triangles[:0])
+        with self.assertRaisesRegex(fs.GeometryError, "vertices_mm"):
+            fs.Mesh(vertices * 1e300, triangles)
 
     def test_takes_an_array_that_must_not_be_written_to_and_no_points_at_all(self):
         self.points.flags.writeable = False

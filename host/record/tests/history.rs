@@ -7,7 +7,9 @@ use std::path::Path;
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_record::die::DieKey;
 use flankscope_record::document::{FeatureId, Inspection};
-use flankscope_record::history::{History, HistoryError, HistoryWriter, Retention, csv, series};
+use flankscope_record::history::{
+    History, HistoryError, HistoryWriter, Retention, clock_set_back, csv, series,
+};
 use flankscope_record::origin::{HeadId, Link, Origin, Setting};
 use flankscope_record::seal::Seals;
 use flankscope_record::sink::ResultSink;
@@ -63,6 +65,14 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
     let checks = reader.checks("die").unwrap();
     let cycles: Vec<i64> = checks.iter().map(|c| c.tool_cycles).collect();
     assert_eq!(cycles, [10, 25, 29, 34, 0, 3]);
+    assert_eq!(clock_set_back(&checks), Vec::<String>::new());
+    let mut dated = checks.clone();
+    dated[3].at = "2020-01-31T12:00:05.000Z".into();
+    let said = clock_set_back(&dated);
+    assert!(
+        said.len() == 1 && said[0].contains("check 4 is dated 2020-01-31"),
+        "{said:?}"
+    );
     let last = checks.last().unwrap();
     assert_eq!(last.flanks.len(), 6);
     assert_eq!(

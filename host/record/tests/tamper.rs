@@ -678,3 +678,55 @@ fn a_history_is_not_for_everybodys_eyes() {
     drop(History::open(&path, &seals()).unwrap());
     assert_eq!(mode(&path), 0o640);
 }
+
+/// Whatever the reason, an opening that is refused leaves neither a journal nor its index beside the file.
+#[test]
+fn a_refused_opening_leaves_nothing_beside_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let refused = folder.path().join("refused.db");
+    let older = std::fs::read(&path).unwrap();
+    let mut history = History::open(&path, &seals()).unwrap();
+    let go = inspection(4, Word::Go, "all is well");
+    history.record(&go, None).unwrap();
+    drop(history);
+    let altered = |sql: &'static str| {
+        let path = &path;
+        move |to: &Path| {
+            changed(path, to, |connection| {
+                connection.execute_batch(sql).unwrap()
+            })
+        }
+    };
+    type Prepare<'a> = &'a dyn Fn(&Path);
+    let prepare: [(&str, Prepare<'_>); 6] = [
+        ("an older copy", &|to| std::fs::write(to, &older).unwrap()),
+        (
+            "a trigger",
+            &altered("CREATE TRIGGER e AFTER INSERT ON inspection BEGIN SELECT 1; END"),
+        ),
+        ("another layout", &altered("PRAGMA user_version = 7")),
+        (
+            "a broken chain",
+            &altered("UPDATE inspection SET tool_cycles = 9"),
+        ),
+        ("another program's", &|to| {
+            let connection = Connection::open(to).unwrap();
+            let sql = "PRAGMA journal_mode = wal; CREATE TABLE t (a); INSERT INTO t VALUES (1)";
+            connection.execute_batch(sql).unwrap();
+        }),
+        ("no database", &|to| {
+            std::fs::write(to, "name = \"demo\"").unwrap()
+        }),
+    ];
+    for (what, prepare) in prepare {
+        prepare(&refused);
+        assert!(History::open(&refused, &seals()).is_err(), "{what}");
+        assert!(History::read(&refused, &seals()).is_err(), "{what}");
+        for suffix in ["-wal", "-shm", "-journal"] {
+            let beside = PathBuf::from(format!("{}{suffix}", refused.display()));
+            assert!(!beside.exists(), "{what}: {}", beside.display());
+        }
+        std::fs::remove_file(&refused).unwrap();
+    }
+}

@@ -3,10 +3,11 @@
 //! ```text
 //!  index.html                        every page, the newest first
 //!  report.html                       the newest page
-//!  reports/DATE-NAME-VERDICT.html    every page, for good
+//!  reports/DATE-NAME-VERDICT.html    every page, as long as it is kept
 //!  inspection.json, flanks.csv, ...  the newest result's figures
 //! ```
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -28,6 +29,9 @@ const PAGE: &str = "report.html";
 const ARTICLE: &str = "article.html";
 /// Number of newest pages that the index lists.
 const LISTED: usize = 500;
+/// Number of newest pages that are kept: 1 GB of checks. A page shows what the history keeps of its check, and the figures of
+/// every check are there for good.
+const KEPT: usize = 10_000;
 
 /// An existing folder for reports.
 #[derive(Clone, Debug)]
@@ -82,6 +86,25 @@ impl Entry {
             verdict,
         })
     }
+}
+
+/// Files of the pages, newest first, that need not be kept: those beyond `kept`, except for each no-go after a go or a warning.
+/// It stands until somebody acknowledges it, however many checks follow.
+fn superfluous(pages: &[Entry], kept: usize) -> BTreeSet<String> {
+    let mut stands = false;
+    let mut old = BTreeSet::new();
+    for (age, page) in pages.iter().enumerate().rev() {
+        let begins = page.verdict == Word::NoGo && !stands;
+        stands = match page.verdict {
+            Word::Go | Word::Warn => false,
+            Word::NoGo => true,
+            Word::Indeterminate => stands,
+        };
+        if age >= kept && !begins {
+            old.insert(page.file.clone());
+        }
+    }
+    old
 }
 
 /// File name of a result's own page without extension: the date comes first, so that names sort by it.
@@ -179,11 +202,11 @@ impl ReportFolder {
         // Links from the newest page lead down to tables and pages, those from its own page lead up.
         let page = page.replace("href=\"./", "href=\"../");
         self.write(&own, &page)?;
-        self.index()
+        self.index(KEPT)
     }
 
-    /// Writes the index again.
-    fn index(&self) -> Result<(), SinkError> {
+    /// Removes pages beyond `kept`, and writes the index again.
+    fn index(&self, kept: usize) -> Result<(), SinkError> {
         let path = self.0.join(Self::PAGES);
         let entries =
             std::fs::read_dir(&path).map_err(|source| SinkError::Write { path, source })?;
@@ -191,6 +214,11 @@ impl ReportFolder {
             .filter_map(|entry| Entry::of(entry.ok()?.file_name().into_string().ok()?))
             .collect();
         listed.sort_by(|a, b| b.file.cmp(&a.file));
+        let old = superfluous(&listed, kept);
+        for file in &old {
+            self.remove(&format!("{}/{file}", Self::PAGES))?;
+        }
+        listed.retain(|entry| !old.contains(&entry.file));
         let beyond = listed.len().saturating_sub(LISTED);
         listed.truncate(LISTED);
         let has_history = self.0.join("history.html").is_file();
@@ -303,6 +331,43 @@ mod tests {
         for foreign in foreign {
             assert_eq!(Entry::of(foreign.into()), None, "{foreign}");
         }
+    }
+
+    #[test]
+    fn old_pages_go_but_the_no_go_that_stands() {
+        let folder = tempfile::tempdir().unwrap();
+        let pages = ReportFolder::new(folder.path());
+        use Word::{Go, Indeterminate, NoGo, Warn};
+        for (number, verdict) in [Go, NoGo, NoGo, Indeterminate, NoGo, Warn, NoGo, NoGo, Go]
+            .into_iter()
+            .enumerate()
+        {
+            let (date, what) = (
+                format!("2026-01-31T12:00:0{number}Z"),
+                format!("check-{number}"),
+            );
+            pages.put_page("page", &date, &what, verdict).unwrap();
+        }
+        let own = folder.path().join(ReportFolder::PAGES);
+        std::fs::write(own.join("notes.html"), "somebody's").unwrap();
+        pages.index(2).unwrap();
+        let entries = std::fs::read_dir(own).unwrap().flatten();
+        let mut left: Vec<String> = entries
+            .map(|entry| entry.file_name().into_string().unwrap())
+            .collect();
+        left.sort();
+        assert_eq!(
+            left,
+            [
+                "20260131T120001Z-check-1-no-go.html",
+                "20260131T120006Z-check-6-no-go.html",
+                "20260131T120007Z-check-7-no-go.html",
+                "20260131T120008Z-check-8-go.html",
+                "notes.html"
+            ]
+        );
+        let index = std::fs::read_to_string(folder.path().join("index.html")).unwrap();
+        assert_eq!(index.matches("<tr><td").count(), 4);
     }
 
     #[test]

@@ -346,3 +346,41 @@ fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
         assert!(record.times(line, true).is_empty(), "{line} rose");
     }
 }
+
+/// What an earlier session said is refused once another one is open, word by word.
+#[test]
+fn a_session_that_is_over_orders_nothing() {
+    const OLD: u32 = 0xC0FFEE;
+    let record = run(DeviceConfig::default(), |mut host, _| async move {
+        host.prepare(plan()).await;
+        let hello = Command::Hello {
+            protocol: PROTOCOL_VERSION,
+            schema: SCHEMA_HASH,
+        };
+        let again = [
+            common::stages(),
+            Command::Home,
+            Command::LoadPlan(plan()),
+            Command::Start { session: 5 },
+            Command::ShowVerdict { go: true },
+        ];
+        let said = core::iter::once((OLD + 1, hello)).chain(again.map(|order| (OLD, order)));
+        for (sequence, (session, order)) in (1000..).zip(said) {
+            host.send(session, sequence, &order).await;
+            let reply = loop {
+                let replies = host.receive().await;
+                if let Some((_, reply)) = replies.into_iter().find(|(ack, _)| *ack == sequence) {
+                    break reply;
+                }
+            };
+            match order {
+                Command::Hello { .. } => assert!(matches!(reply, Reply::Hello(_)), "{reply:?}"),
+                _ => assert_eq!(reply, Reply::Refused(Refusal::NoSession { got: OLD })),
+            }
+        }
+        host.keep_company(2_000).await;
+        host
+    });
+    assert_eq!(record.notes.exposures.len(), 0);
+    assert!(record.times("go", true).is_empty());
+}

@@ -3,6 +3,7 @@
 mod common;
 
 use flankscope_bench::devices::{Exposure, ExposureSink, InstrumentConfig, run};
+use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_protocol::*;
 use std::io::{Read, Write};
 use std::sync::mpsc::{Sender, channel};
@@ -123,6 +124,52 @@ fn held_time_is_counted_and_does_not_pass_for_the_instrument() {
     let outcome = instrument.stop().expect("no panic");
     assert!(
         outcome.pace.held >= Duration::from_millis(50) && outcome.pace.held <= total,
+        "{:?}",
+        outcome.pace
+    );
+}
+
+/// Rendering takes longer than the host waits for an answer, and begins while the controller selects the next pattern.
+#[test]
+fn the_controller_answers_while_time_is_held() {
+    struct Renders(Option<flankscope_sim::Remote>);
+    impl ExposureSink for Renders {
+        fn attach(&mut self, remote: flankscope_sim::Remote) {
+            self.0 = Some(remote);
+        }
+        fn exposed(&mut self, exposure: Exposure) {
+            let hold = self.0.as_ref().filter(|_| exposure.counter == 3);
+            if let Some(hold) = hold.map(flankscope_sim::Remote::hold) {
+                std::thread::spawn(move || {
+                    std::thread::sleep(Duration::from_secs(3));
+                    drop(hold);
+                });
+            }
+        }
+    }
+    let instrument = run(InstrumentConfig::paced(1.0), Renders(None)).expect("a pseudo-terminal");
+    let mut plan = common::plan();
+    plan.views.truncate(1);
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime");
+    let captured = runtime.block_on(async {
+        let mut client = Client::connect(instrument.port(), ClientSettings::default()).await?;
+        client.configure(&StageConfig::DEFAULT).await?;
+        for (order, last) in [(Command::Home, State::Ready), (Command::LoadPlan(plan), State::Ready), (Command::Start { session: 5 }, State::Retracting)] {
+            let waits = !matches!(order, Command::LoadPlan(_));
+            client.order(&order).await?;
+            while waits
+                && !matches!(client.event(Duration::from_secs(20)).await?, Event::StateChanged { next, .. } if next == last)
+            {}
+        }
+        client.status().await
+    });
+    captured.expect("never silent");
+    let outcome = instrument.stop().expect("no panic");
+    assert!(
+        outcome.pace.held > Duration::from_millis(2900),
         "{:?}",
         outcome.pace
     );

@@ -42,13 +42,18 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
     loop {
         let next = mail.outgoing.receive();
         let outgoing = mail.liveness.alive(Task::Transmit, next).await;
+        // Events of a session count from 1.
+        let open = mail.session.load(Ordering::Relaxed);
+        if open != session {
+            (session, sequence) = (open, 0);
+        }
         let length = match outgoing {
             Outgoing::Reply(to, reply) => {
                 ack = to.sequence;
                 encode(
                     Header {
                         session: to.session,
-                        sequence: 0,
+                        sequence,
                         ack,
                     },
                     &reply,
@@ -56,11 +61,6 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
                 )
             }
             Outgoing::Event(event) => {
-                // Events of a session count from 1.
-                let open = mail.session.load(Ordering::Relaxed);
-                if open != session {
-                    (session, sequence) = (open, 0);
-                }
                 sequence = sequence.wrapping_add(1);
                 encode(
                     Header {

@@ -24,6 +24,10 @@ const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
 /// A frame that was not triggered arrives within two readouts of the last one; a later one does not belong to this capture.
 const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
 
+/// A camera that still sends frames so long after the last trigger never ends: the host's buffer holds 16 of them, for each of which
+/// the sums take some tens of ms.
+const DRAINING: Duration = Duration::from_secs(2);
+
 /// A camera that has not reported within this time that it is armed counts as absent: a process takes a second to start, a camera
 /// some tenths of a second to empty its queue.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
@@ -279,6 +283,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             return;
         }
         self.arrived += 1;
+        if self.arrived > arm.frames() + 1 {
+            return; // the first one too many has already spoiled the capture
+        }
         if self
             .open
             .as_ref()
@@ -340,7 +347,8 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
     /// Takes the frames that are still on their way, and checks whether more arrive than were triggered.
     fn drain(&mut self) {
         let planned = self.arm.map_or(0, |arm| arm.frames());
-        loop {
+        let end = Instant::now() + DRAINING;
+        while Instant::now() < end {
             let patience = if self.arrived < planned {
                 LAST_FRAME_PATIENCE
             } else {
@@ -446,191 +454,4 @@ fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
 pub type Orders = Sender<Order>;
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_picture_shows_the_lit_part_in_full_contrast() {
-        // 8 x 6 px with padding; a lit patch of 3 x 2 at (2, 1), one glaring pixel in it.
-        let (width, height, stride) = (8, 6, 10);
-        let mut pixels = vec![100_u16; stride * height];
-        for (x, y, dn) in [
-            (2, 1, 1000),
-            (3, 1, 2000),
-            (4, 1, 3000),
-            (2, 2, 1000),
-            (3, 2, 4095),
-            (4, 2, 1000),
-        ] {
-            pixels[y * stride + x] = dn;
-        }
-        let keepsake = Keepsake {
-            exposure: 0,
-            pattern: 1,
-        };
-        let settings = RecorderSettings {
-            lit_dn: 140.0,
-            keepsake,
-            full_scale_dn: 4095,
-            camera: HeadCamera {
-                size_px: [8, 6],
-                sensor: None,
-            },
-        };
-        let picture = picture(
-            FrameView {
-                pixels: &pixels,
-                width,
-                height,
-                stride,
-            },
-            settings,
-        );
-        assert_eq!((picture.width, picture.height), (3, 2));
-        assert_eq!(picture.grey[4], 255, "the brightest is white");
-        let expected = |dn: f64| ((dn - 140.0) / (4095.0 - 140.0) * 255.0) as u8;
-        assert_eq!(
-            picture.grey[..3],
-            [expected(1000.0), expected(2000.0), expected(3000.0)]
-        );
-    }
-
-    /// A camera that reports its state after a number of polls.
-    struct Spoken {
-        words: Vec<Ready>,
-        armed: Vec<u32>,
-    }
-
-    struct NoFrame;
-
-    impl BorrowedFrame for NoFrame {
-        fn header(&self) -> &FrameHeader {
-            unreachable!("there is none")
-        }
-        fn pixels(&self) -> &[u16] {
-            &[]
-        }
-        fn received_monotonic_ns(&self) -> u64 {
-            0
-        }
-    }
-
-    impl FrameSource for Spoken {
-        type Frame = NoFrame;
-        fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
-            self.armed.push(arm.session);
-            Ok(())
-        }
-        fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
-            Ok(self.words.pop())
-        }
-        fn receive(&mut self, _: Duration) -> Result<Option<NoFrame>, ReceiveError> {
-            Ok(None)
-        }
-    }
-
-    fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
-        let settings = RecorderSettings {
-            lit_dn: 140.0,
-            keepsake: Keepsake {
-                exposure: 0,
-                pattern: 1,
-            },
-            full_scale_dn: 4095,
-            camera: HeadCamera {
-                size_px: [8, 6],
-                sensor,
-            },
-        };
-        let source = Spoken {
-            words: words.iter().rev().copied().collect(),
-            armed: Vec::new(),
-        };
-        let (_orders, receiver) = std::sync::mpsc::channel();
-        let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
-        let mut recorder = Recorder {
-            source,
-            settings,
-            planned: Vec::new(),
-            orders: receiver,
-            events,
-            fresh: Box::new(|| unreachable!("nothing is summed")),
-            spare: Vec::new(),
-            arm: None,
-            arrived: 0,
-            open: None,
-            kept: None,
-            saver: None,
-            earlier: VecDeque::new(),
-        };
-        recorder.arm_camera(Arm {
-            session: 7,
-            ..Arm::default()
-        })
-    }
-
-    #[test]
-    fn nothing_moves_before_the_heads_camera_is_armed_for_this_capture() {
-        let sensor = Sensor {
-            full_well_e: 32_400.0,
-            gain_e_per_dn: 7.91,
-            read_noise_e: 7.0,
-            offset_dn: 100.0,
-            bits: 12,
-        };
-        let of = |session| Ready {
-            session,
-            width_px: 8,
-            height_px: 6,
-            bits: 12,
-            model: Ready::text("F 1"),
-            ..Ready::default()
-        };
-        let told = Ready {
-            offset_dn: 95.0,
-            gain_e_per_dn: 8.0,
-            ..of(7)
-        };
-        for words in [&[of(7)][..], &[of(0), of(3), of(7)], &[told]] {
-            assert_eq!(arm_with(words, Some(sensor)), Ok(()));
-        }
-        for (word, said) in [
-            (
-                Ready {
-                    width_px: 6,
-                    height_px: 8,
-                    ..of(7)
-                },
-                "F 1 has 6 x 8 px, the head file says 8 x 6",
-            ),
-            (
-                Ready { bits: 8, ..of(7) },
-                "F 1 has 8 bits, the head file says 12",
-            ),
-            (
-                Ready {
-                    gain_e_per_dn: 0.5,
-                    ..of(7)
-                },
-                "0.500 electrons per count",
-            ),
-            (
-                Ready {
-                    offset_dn: 0.0,
-                    ..of(7)
-                },
-                "0.0 counts in the dark",
-            ),
-        ] {
-            let error = arm_with(&[word], Some(sensor)).unwrap_err().to_string();
-            assert!(error.contains(said), "{said}: {error}");
-        }
-        for (words, state) in [
-            (&[][..], "has not come"),
-            (&[of(3)], "armed for another capture"),
-        ] {
-            let error = arm_with(words, Some(sensor)).unwrap_err().to_string();
-            assert!(error.contains(state), "{error}");
-        }
-    }
-}
+mod tests;

@@ -109,7 +109,7 @@ impl ViewSums {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use flankscope_profilometry::{DecodeOptions, HeadModel, PatternSet};
     use flankscope_test_requisites::DRAWN_HEAD;
@@ -126,13 +126,18 @@ mod tests {
         offset_dn = 100.0
     "#;
 
-    #[test]
-    fn frames_follow_each_other_as_the_plan_shows_them() {
+    /// Of a drawn head with `high12` at two exposures.
+    pub fn decoder() -> Decoder {
         let head: HeadModel = toml::from_str(&format!("{DRAWN_HEAD}{VOLUME_AND_SENSOR}")).unwrap();
         let set = PatternSet::named("high12").unwrap();
-        let exposures_us = [10_000, 20_000];
         let options = DecodeOptions::for_head(&head);
-        let decoder = Decoder::new(&head, &set, &exposures_us, options).unwrap();
+        Decoder::new(&head, &set, &[10_000, 20_000], options).unwrap()
+    }
+
+    #[test]
+    fn frames_follow_each_other_as_the_plan_shows_them() {
+        let set = PatternSet::named("high12").unwrap();
+        let decoder = decoder();
         let lit_ratios = [0.5, 0.25, 1.0];
         let frames = planned_frames(&decoder, &lit_ratios);
         assert_eq!(frames.len(), 1 + 2 * 3 * 12);

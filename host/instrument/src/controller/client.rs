@@ -14,8 +14,8 @@ use tokio::time::{Instant, timeout_at};
 use super::interrupt::Interrupt;
 use super::link::{Incoming, Link, LinkError};
 
-/// Attempts at one command, the first included.
-const ATTEMPTS: u32 = 4;
+/// Distances of event numbers from here on lie behind, not ahead (serial number arithmetic, RFC 1982).
+const BEHIND: u16 = 0x8000;
 
 /// Timeouts of the client.
 #[derive(Clone, Debug)]
@@ -27,20 +27,23 @@ pub struct ClientSettings {
     /// Largest delay of triggers and frames relative to the clock of the device that reports them; `None`: the controller's clock
     /// is not real time.
     pub stall: Option<Duration>,
-    /// Longest silence of a busy controller before the link counts as lost.
+    /// Longest wait for any answer, to commands and heartbeats alike, before the link counts as lost.
+    pub unanswered: Duration,
+    /// Longest time without an event of a busy controller that answers.
     pub silence: Duration,
     /// Signals that the operator wants the run to end.
     pub interrupt: Interrupt,
 }
 
 impl Default for ClientSettings {
-    /// Answer: 250 ms, a hundred times a frame's time on the wire. Stall: 2 s; threads of a busy host wait for a tenth of that.
-    /// Silence: 15 s, the longest move by a plan's timeouts, and a margin.
+    /// Answer: 250 ms, a hundred times a frame's time on the wire. Stall and unanswered: 2 s; threads of a busy host wait for a
+    /// tenth of that. Silence: 15 s, the longest move by a plan's timeouts, and a margin.
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
             heartbeat: None,
             stall: Some(Duration::from_secs(2)),
+            unanswered: Duration::from_secs(2),
             silence: Duration::from_secs(15),
             interrupt: Interrupt::never(),
         }
@@ -54,15 +57,13 @@ pub enum ClientError {
     /// The link failed.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// No reply after all retries.
+    /// Neither commands nor heartbeats are answered.
     #[error(
-        "the port answers nothing: {attempts} tries of {timeout_ms} ms each (is it the controller's port, is the firmware running?)"
+        "the port answers nothing for {waited_ms} ms (is it the controller's port, is the firmware running?)"
     )]
     Silent {
-        /// Number of tries.
-        attempts: u32,
-        /// Patience per try, ms.
-        timeout_ms: u128,
+        /// Longest wait for an answer, ms.
+        waited_ms: u128,
     },
     /// The controller refused the command.
     #[error("the controller refuses: {0}")]
@@ -121,7 +122,10 @@ pub struct Client {
     heartbeat: Duration,
     next_heartbeat: Instant,
     events: VecDeque<Event>,
-    last_event: Option<u16>,
+    /// Number of the latest event; those of a session count from 1.
+    last_event: u16,
+    /// Time waited since the controller was last heard.
+    unheard: Duration,
     /// Frames that could not be decoded.
     dropped: u64,
 }
@@ -155,7 +159,8 @@ impl Client {
             next_heartbeat: Instant::now() + settings.answer,
             settings,
             events: VecDeque::new(),
-            last_event: None,
+            last_event: 0,
+            unheard: Duration::ZERO,
             dropped: 0,
         };
         let hello = Command::Hello {
@@ -184,6 +189,8 @@ impl Client {
             .settings
             .heartbeat
             .unwrap_or(allowed / 3)
+            // Several of them must be lost before the link counts as lost.
+            .min(client.settings.unanswered / 4)
             .max(Duration::from_millis(1));
         client.next_heartbeat = Instant::now() + client.heartbeat;
         Ok(client)
@@ -292,13 +299,13 @@ impl Client {
                 self.link.send(self.header(), &Command::Heartbeat)?;
                 self.next_heartbeat = Instant::now() + self.heartbeat;
             }
-            match timeout_at(end.min(self.next_heartbeat), self.link.receive()).await {
-                Ok(incoming) => {
-                    // Only events are wanted here; replies to earlier heartbeats are ignored.
-                    self.sort(incoming?)?;
+            match self.incoming(end.min(self.next_heartbeat)).await? {
+                // Only events are wanted here; of replies to heartbeats, only that they come, and after which event.
+                Some(incoming) => {
+                    self.sort(incoming)?;
                 }
-                Err(_) if Instant::now() < end => {}
-                Err(_) => {
+                None if Instant::now() < end => {}
+                None => {
                     return Err(ClientError::NoEvent {
                         timeout_ms: patience.as_millis(),
                     });
@@ -316,15 +323,17 @@ impl Client {
     async fn request(&mut self, command: &Command) -> Result<Reply, ClientError> {
         self.sequence = self.sequence.wrapping_add(1);
         let header = self.header();
-        for attempt in 0..ATTEMPTS {
+        let answer_ms = self.settings.answer.as_millis().max(1);
+        let attempts = self.settings.unanswered.as_millis().div_ceil(answer_ms);
+        for attempt in 0..attempts {
             if attempt > 0 {
                 tracing::warn!(attempt, ?command, "no answer, sending again");
             }
             self.link.send(header, command)?;
             self.next_heartbeat = Instant::now() + self.heartbeat;
             let end = Instant::now() + self.settings.answer;
-            while let Ok(incoming) = timeout_at(end, self.link.receive()).await {
-                match self.sort(incoming?)? {
+            while let Some(incoming) = self.incoming(end).await? {
+                match self.sort(incoming)? {
                     Some((ack, Reply::Refused(refusal))) if ack == header.sequence => {
                         return Err(refusal.into());
                     }
@@ -333,17 +342,35 @@ impl Client {
                 }
             }
         }
-        Err(ClientError::Silent {
-            attempts: ATTEMPTS,
-            timeout_ms: self.settings.answer.as_millis(),
-        })
+        Err(self.silent())
+    }
+
+    /// The next message, `None` if none comes before `end`.
+    async fn incoming(&mut self, end: Instant) -> Result<Option<Incoming>, ClientError> {
+        let planned = end.saturating_duration_since(Instant::now());
+        if let Ok(incoming) = timeout_at(end, self.link.receive()).await {
+            return Ok(Some(incoming?));
+        }
+        // Counted as planned: if this host was itself kept from running meanwhile, the controller has not been silent longer.
+        self.unheard += planned;
+        if self.unheard < self.settings.unanswered {
+            Ok(None)
+        } else {
+            Err(self.silent())
+        }
+    }
+
+    fn silent(&self) -> ClientError {
+        ClientError::Silent {
+            waited_ms: self.settings.unanswered.as_millis(),
+        }
     }
 
     fn header(&self) -> Header {
         Header {
             session: self.session,
             sequence: self.sequence,
-            ack: self.last_event.unwrap_or(0),
+            ack: self.last_event,
         }
     }
 
@@ -351,27 +378,29 @@ impl Client {
     fn sort(&mut self, incoming: Incoming) -> Result<Option<(u16, Reply)>, ClientError> {
         match incoming {
             Incoming::Reply(header, reply) if header.session == self.session => {
+                self.unheard = Duration::ZERO;
+                // It names the event before it. Of an earlier answer that came twice, that is an earlier event.
+                match header.sequence.wrapping_sub(self.last_event) {
+                    0 | BEHIND.. => {}
+                    missing => {
+                        return Err(ClientError::EventsMissing {
+                            missing,
+                            sequence: header.sequence.wrapping_add(1),
+                        });
+                    }
+                }
                 return Ok(Some((header.ack, reply)));
             }
             Incoming::Reply(..) => {}
             Incoming::Event(header, event) if header.session == self.session => {
-                if let Some(last) = self.last_event {
-                    let missing = header.sequence.wrapping_sub(last).wrapping_sub(1);
-                    if missing > u16::MAX / 2 {
-                        // An earlier number: nothing is missing, something came twice.
-                        return Err(ClientError::EventRepeated {
-                            sequence: header.sequence,
-                            last,
-                        });
-                    }
-                    if missing != 0 {
-                        return Err(ClientError::EventsMissing {
-                            missing,
-                            sequence: header.sequence,
-                        });
-                    }
+                self.unheard = Duration::ZERO;
+                let (sequence, last) = (header.sequence, self.last_event);
+                match sequence.wrapping_sub(last).wrapping_sub(1) {
+                    0 => {}
+                    BEHIND.. => return Err(ClientError::EventRepeated { sequence, last }),
+                    missing => return Err(ClientError::EventsMissing { missing, sequence }),
                 }
-                self.last_event = Some(header.sequence);
+                self.last_event = sequence;
                 self.events.push_back(event);
             }
             Incoming::Event(..) => {}

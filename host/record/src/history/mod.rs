@@ -20,6 +20,7 @@
 //! | `trend` | a robust line since the last change |
 //! | `remaining` | number of remaining cycles |
 //! | `forecast` | all of these for one flank |
+//! | `dates` | detects that the clock was set back |
 //! | `export` | export as CSV |
 //! | `parquet` | export as Apache Parquet, behind a feature |
 //! | `phasors` | data of verdicts, in files beside the store |
@@ -27,6 +28,7 @@
 
 mod chain;
 mod change;
+mod dates;
 mod error;
 mod export;
 mod forecast;
@@ -46,6 +48,7 @@ mod trend;
 mod writer;
 
 pub use change::changes;
+pub use dates::clock_set_back;
 pub use error::HistoryError;
 pub use export::csv;
 pub use forecast::Forecast;

@@ -10,6 +10,7 @@ use rusqlite::{
 };
 
 use super::chain::{self, Row};
+use super::dates::dated_before;
 use super::error::HistoryError;
 use super::same_die::same_as_asked;
 use super::schema::{self, APPLICATION_ID, VERSION};
@@ -317,6 +318,21 @@ impl History {
         // The transaction excludes other writers, so the number of the next row is known in advance.
         let id = self.next_id("inspection")?;
         document["id"] = id.into();
+        let at = self.now()?;
+        let before: Option<(i64, String)> = self
+            .connection
+            .query_row(
+                "SELECT id, at FROM inspection ORDER BY id DESC LIMIT 1",
+                [],
+                |row| Ok((row.get(0)?, row.get(1)?)),
+            )
+            .optional()
+            .map_err(failed)?;
+        if let (Some((last, dated)), Value::Text(at)) = (before, &at)
+            && let Some(said) = dated_before((last, &dated), (id, at))
+        {
+            tracing::warn!("{said}");
+        }
         let Origin {
             link,
             simulated,
@@ -327,7 +343,7 @@ impl History {
         } = &inspection.origin;
         let values = vec![
             ("id", id.into()),
-            ("at", self.now()?),
+            ("at", at),
             ("tool", tool.clone().into()),
             ("tool_cycles", tool_cycles.into()),
             ("press_cycles", counter.into()),

@@ -1,6 +1,7 @@
 //! One stage axis: its position over time, its motion, and its faults.
 
 use super::motion::{Dynamics, Profile};
+use super::stage::NO_MEMORY;
 use super::stage::errors::{
     MOTOR_OFF, MOTOR_UNDEFINED, NEGATIVE_LIMIT, NEGATIVE_SWITCH, NO_SUCH_MOVE, POSITIVE_LIMIT,
     POSITIVE_SWITCH, Refusal, of_axis,
@@ -26,6 +27,29 @@ pub struct AxisModel {
     pub backlash: f64,
     /// Number of the move that never ends (stall).
     pub stalls_at_move: Option<u32>,
+}
+
+impl AxisModel {
+    /// A connector of the controller to which no stage is connected.
+    pub const NONE: Self = Self {
+        name: NO_MEMORY,
+        unit: 0,
+        dynamics: Dynamics {
+            speed: 0.0,
+            acceleration: 0.0,
+            deceleration: 0.0,
+        },
+        travel: (0.0, 0.0),
+        home: 0.0,
+        error: 0.0,
+        backlash: 0.0,
+        stalls_at_move: None,
+    };
+
+    /// Whether there is a stage.
+    pub(super) fn is_connected(&self) -> bool {
+        self.travel.0 < self.travel.1
+    }
 }
 
 /// Distance of a hardware limit switch beyond the software limit, in units of the axis.

@@ -220,7 +220,7 @@ const LEAST_DIAGONAL_MM: f64 = 0.5;
 /// Largest diagonal of the part that a cloud can be of, mm.
 const MOST_DIAGONAL_MM: f64 = 10_000.0;
 /// Largest coordinate, mm: the origin of a machine hall or of a survey is nearer, and squares of it have their digits.
-const MOST_COORDINATE_MM: f64 = 1e9;
+pub const MOST_COORDINATE_MM: f64 = 1e9;
 
 impl Cloud {
     fn in_unit(mut self, unit: Unit) -> Result<Self, CloudError> {

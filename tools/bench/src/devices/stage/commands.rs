@@ -3,8 +3,9 @@
 use super::super::axis::{Arrival, Axis};
 use super::StageModel;
 use super::errors::{
-    MISSING_AXIS, MISSING_PARAMETER, NEGATIVE_LIMIT, NO_SUCH_AXIS, NO_SUCH_PROGRAM, NOT_ALLOWED,
-    OUT_OF_RANGE, PARAMETER_OUT_OF_RANGE, POSITIVE_LIMIT, Refusal, UNKNOWN, of_axis,
+    MISSING_AXIS, MISSING_PARAMETER, MOTOR_UNDEFINED, NEGATIVE_LIMIT, NO_SUCH_AXIS,
+    NO_SUCH_PROGRAM, NOT_ALLOWED, OUT_OF_RANGE, PARAMETER_OUT_OF_RANGE, POSITIVE_LIMIT, Refusal,
+    UNKNOWN, of_axis,
 };
 
 const VERSION: &str = "ESP301 Version 3.0.1 6/1/99";
@@ -342,7 +343,8 @@ impl StageModel {
     /// home switches (0 to 2).
     fn switches(&self, now_s: f64) -> String {
         let (mut limits, mut homes) = (1u32 << 27 | 1 << 28, 0u32);
-        for (n, axis) in self.axes.iter().enumerate() {
+        let connected = |(_, axis): &(usize, &Axis)| axis.model.is_connected();
+        for (n, axis) in self.axes.iter().enumerate().filter(connected) {
             let here = axis.profile.position(now_s);
             let (down, up) = axis.switches();
             limits |= u32::from(here >= up) << n | u32::from(here <= down) << (8 + n);
@@ -428,6 +430,7 @@ fn of_status(
         ("DP", "" | "?") => Ok(Answer::Text(position(axis, axis.destination()))),
         ("TV" | "DV", "" | "?") => Ok(Answer::Text(speed(axis))),
         ("MO" | "MF", "?") => Ok(yes_or_no(axis.motor_on)),
+        ("MO", "") if axis.settings.get("QM") == 0.0 => Err(of_axis(axis.number, MOTOR_UNDEFINED)),
         ("MO", "") => {
             axis.motor_on = true;
             Ok(Answer::None)

@@ -75,7 +75,8 @@ pub struct TruePose {
 /// The stages and the state of their controller.
 #[derive(Debug, Clone)]
 pub struct StageModel {
-    axes: [Axis; 2],
+    /// The controller has three connectors; nothing is connected to the third.
+    axes: [Axis; 3],
     seed: u64,
     errors: VecDeque<Refusal>,
     programs: BTreeMap<u32, Vec<String>>,
@@ -88,7 +89,11 @@ impl StageModel {
     #[must_use]
     pub fn new(models: AxisModels, seed: u64) -> Self {
         Self {
-            axes: [Axis::new(1, models.rotation), Axis::new(2, models.vertical)],
+            axes: [
+                Axis::new(1, models.rotation),
+                Axis::new(2, models.vertical),
+                Axis::new(3, AxisModel::NONE),
+            ],
             seed,
             errors: VecDeque::new(),
             programs: BTreeMap::new(),
@@ -193,7 +198,9 @@ mod tests {
             ("2PA1", 213),
             ("1XY", 6),
             ("PA1", 37),
-            ("3PA1", 9),
+            ("3PA1", 300),
+            ("3MO", 300),
+            ("4PA1", 9),
             ("1PA", 38),
             ("2PAnan", 38),
             ("1VA1000", 110),
@@ -206,6 +213,18 @@ mod tests {
             ask(&mut stage, 0, "TE?;TE?;TE?;2MD?;2TP?"),
             "206\r\n207\r\n0\r\n1\r\n100.000000\r\n"
         );
+    }
+
+    /// Whoever asks every axis of the controller gets an answer from the one without a stage, too.
+    #[test]
+    fn a_connector_without_a_stage_answers() {
+        let mut stage = StageModel::new(AxisModels::default(), 1);
+        assert_eq!(
+            ask(&mut stage, 0, "3ID?;3SN?;3QM?;3MO?;3MD?;3TP?;TS?;TX?;TE?"),
+            "Unknown\r\n0\r\n0\r\n0\r\n1\r\n0.000000\r\n@\r\n@\r\n0\r\n"
+        );
+        // Nor does it keep the others waiting.
+        assert!(stage.stands(0.0, None));
     }
 
     #[test]

@@ -106,7 +106,7 @@ const SETTINGS: &[Setting] = &[
     real("SU", Range::From(2e-9, MOST), |_| 0.0005),
     real("FR", Range::From(2e-9, MOST), |_| 0.01),
     whole("FP", 0.0, 7.0, |_| 6.0),
-    whole("QM", 0.0, 4.0, |_| 1.0),
+    whole("QM", 0.0, 4.0, |axis| f64::from(u8::from(axis.is_connected()))),
     real("QI", ANY, |_| 1.0),
     real("QV", ANY, |_| 24.0),
     whole("QS", 1.0, 1000.0, |_| 1.0),
