@@ -64,6 +64,18 @@ pub enum ClientError {
         /// Patience per try, ms.
         timeout_ms: u128,
     },
+    /// Bytes came, but no answer.
+    #[error(
+        "bytes come from the port, but no answer: {damaged} damaged messages in {attempts} tries of {timeout_ms} ms each (another speed, another device, or noise on the line?)"
+    )]
+    Noise {
+        /// Messages that could not be read.
+        damaged: u64,
+        /// Number of tries.
+        attempts: u32,
+        /// Patience per try, ms.
+        timeout_ms: u128,
+    },
     /// The controller refused the command.
     #[error("the controller refuses: {0}")]
     Refused(#[from] Refusal),
@@ -316,6 +328,7 @@ impl Client {
     async fn request(&mut self, command: &Command) -> Result<Reply, ClientError> {
         self.sequence = self.sequence.wrapping_add(1);
         let header = self.header();
+        let dropped_before = self.dropped;
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
                 tracing::warn!(attempt, ?command, "no answer, sending again");
@@ -333,9 +346,17 @@ impl Client {
                 }
             }
         }
-        Err(ClientError::Silent {
-            attempts: ATTEMPTS,
-            timeout_ms: self.settings.answer.as_millis(),
+        let (attempts, timeout_ms) = (ATTEMPTS, self.settings.answer.as_millis());
+        Err(match self.dropped - dropped_before {
+            0 => ClientError::Silent {
+                attempts,
+                timeout_ms,
+            },
+            damaged => ClientError::Noise {
+                damaged,
+                attempts,
+                timeout_ms,
+            },
         })
     }
 
