@@ -221,11 +221,11 @@ pub enum StageError {
 }
 
 impl StageConfig {
-    /// URS150BCC (80 deg/s) and IMS300V (100 mm/s) on the RS-232 of a Newport ESP301: full speed within 0.25 s and 0.125 s, one turn
+    /// URS150BCC (80 deg/s) and IMS300V (100 mm/s) on a Newport ESP301: full speed within 0.25 s and 0.125 s, one turn
     /// either way, ±150 mm, home 100 mm above the working zero, clear of a 66 mm die.
     pub const DEFAULT: Self = Self {
         line: Line {
-            baud: 19_200,
+            baud: 115_200,
             ..Line::HOST
         },
         rotation: RotaryAxis {
@@ -630,7 +630,7 @@ mod tests {
             ),
             (
                 refused(|s| s.line.parity = Parity::Even),
-                "line 19200 8E1, no flow control: the controller's port to the stages has 8N1, no flow control, only",
+                "line 115200 8E1, no flow control: the controller's port to the stages has 8N1, no flow control, only",
             ),
             (
                 refused(|s| s.rotation.speed.0 = 200_001),

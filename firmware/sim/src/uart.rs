@@ -1,13 +1,8 @@
-//! Virtual UARTs: two byte queues, one per direction. Ends may live on different threads, unless their line has a speed: its bytes
-//! take their time, by the clock of the one simulation that both ends are in.
+//! Virtual UARTs: two byte queues, one per direction. Ends may live on different threads.
 
-use crate::clock::now_us;
 use core::convert::Infallible;
-use core::future::Future;
 use core::future::poll_fn;
-use core::pin::pin;
 use core::task::{Poll, Waker};
-use embassy_time::{Instant, Timer};
 use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::stage::StagePort;
 use flankscope_protocol::Line;
@@ -16,20 +11,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 #[derive(Debug, Default)]
 struct Queue {
-    /// Each with the time at which it has arrived.
-    bytes: VecDeque<(u64, u8)>,
-    /// The wire carries nothing any more then, ns.
-    idle_at_ns: u64,
+    bytes: VecDeque<u8>,
     reader: Option<Waker>,
-}
-
-impl Queue {
-    /// Bytes that can be read now.
-    fn arrived(&self) -> usize {
-        let now_us = now_us();
-        let late = self.bytes.iter().position(|(at_us, _)| *at_us > now_us);
-        late.unwrap_or(self.bytes.len())
-    }
 }
 
 /// One direction.
@@ -41,16 +24,9 @@ impl Pipe {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// `byte_ns`: what one of them takes on the wire.
-    fn write(&self, bytes: &[u8], byte_ns: u64) {
+    fn write(&self, bytes: &[u8]) {
         let mut queue = self.lock();
-        for &byte in bytes {
-            if byte_ns > 0 {
-                queue.idle_at_ns = queue.idle_at_ns.max(1_000 * now_us()) + byte_ns;
-            }
-            let arrived = queue.idle_at_ns.div_ceil(1_000);
-            queue.bytes.push_back((arrived, byte));
-        }
+        queue.bytes.extend(bytes);
         let reader = queue.reader.take();
         drop(queue);
         if let Some(reader) = reader {
@@ -60,9 +36,8 @@ impl Pipe {
 
     fn take(&self, buffer: &mut [u8]) -> usize {
         let mut queue = self.lock();
-        let arrived = queue.arrived();
-        let count = buffer.len().min(arrived);
-        for (slot, (_, byte)) in buffer.iter_mut().zip(queue.bytes.drain(..count)) {
+        let count = buffer.len().min(queue.bytes.len());
+        for (slot, byte) in buffer.iter_mut().zip(queue.bytes.drain(..count)) {
             *slot = byte;
         }
         count
@@ -72,8 +47,7 @@ impl Pipe {
 /// How one end is set; nobody has set it: as the other end.
 type Setting = Arc<Mutex<Option<Line>>>;
 
-/// One end of a UART. Bytes written arrive at the other end at the speed that this end is set to, or the other; at once where
-/// neither is; and as other bytes where both are set differently.
+/// One end of a UART. Bytes written arrive at the other end at once, and as other bytes where both are set differently.
 #[derive(Debug, Clone)]
 pub struct Port {
     incoming: Pipe,
@@ -107,15 +81,13 @@ impl Port {
     /// Writes from any thread; never waits.
     pub fn send(&self, bytes: &[u8]) {
         let setting = |of: &Setting| *of.lock().unwrap_or_else(PoisonError::into_inner);
-        let (here, there) = (setting(&self.line), setting(&self.line_there));
-        let byte_ns = here.or(there).map_or(0, |line| line.byte_ns());
-        match (here, there) {
+        match (setting(&self.line), setting(&self.line_there)) {
             (Some(here), Some(there)) if here != there => {
                 // What a receiver makes of bits at another speed is no text.
                 let garbled: Vec<u8> = bytes.iter().map(|byte| byte | 0x80).collect();
-                self.outgoing.write(&garbled, byte_ns);
+                self.outgoing.write(&garbled);
             }
-            _ => self.outgoing.write(bytes, byte_ns),
+            _ => self.outgoing.write(bytes),
         }
     }
 
@@ -127,10 +99,7 @@ impl Port {
     /// Takes what has arrived, without waiting.
     #[must_use]
     pub fn take(&self) -> Vec<u8> {
-        let mut queue = self.incoming.lock();
-        let arrived = queue.arrived();
-        let bytes = queue.bytes.drain(..arrived);
-        bytes.map(|(_, byte)| byte).collect()
+        self.incoming.lock().bytes.drain(..).collect()
     }
 }
 
@@ -154,15 +123,8 @@ impl Read for Port {
             }
             let mut queue = self.incoming.lock();
             queue.reader = Some(context.waker().clone());
-            let Some(&(at_us, _)) = queue.bytes.front() else {
-                return Poll::Pending;
-            };
-            drop(queue);
-            // Still on the wire, or come between the look and the lock.
-            if pin!(Timer::at(Instant::from_micros(at_us)))
-                .poll(context)
-                .is_ready()
-            {
+            // Bytes may have come between the look and the lock.
+            if !queue.bytes.is_empty() {
                 context.waker().wake_by_ref();
             }
             Poll::Pending
@@ -177,10 +139,6 @@ impl Write for Port {
         Ok(bytes.len())
     }
     async fn flush(&mut self) -> Result<(), Infallible> {
-        let idle_at_ns = self.outgoing.lock().idle_at_ns;
-        if idle_at_ns > 1_000 * now_us() {
-            Timer::at(Instant::from_micros(idle_at_ns.div_ceil(1_000))).await;
-        }
         Ok(())
     }
 }
