@@ -59,6 +59,23 @@ impl Line {
         flow: FlowControl::None,
     };
 
+    /// What a character takes on the wire, ns: a start bit, data, parity, stop bits.
+    #[must_use]
+    pub const fn byte_ns(&self) -> u64 {
+        let parity = !matches!(self.parity, Parity::None) as u8;
+        let bits = 1u8
+            .saturating_add(self.data_bits)
+            .saturating_add(parity)
+            .saturating_add(self.stop_bits);
+        match (bits as u64)
+            .saturating_mul(1_000_000_000)
+            .checked_div(self.baud as u64)
+        {
+            Some(time_ns) => time_ns,
+            None => u64::MAX,
+        }
+    }
+
     /// Divider of a clock for this speed, to the nearest; `None` where no divider comes within 2 %: a receiver that samples the
     /// middle of the tenth bit bears 5 %, and the other side and both oscillators need some of it.
     #[must_use]
@@ -156,6 +173,22 @@ impl fmt::Display for Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn characters_take_their_bits() {
+        // Ten bits of 52.083 us.
+        let slow = Line {
+            baud: 19_200,
+            ..Line::HOST
+        };
+        assert_eq!(slow.byte_ns(), 520_833);
+        let parity = Line {
+            parity: Parity::Even,
+            stop_bits: 2,
+            ..slow
+        };
+        assert_eq!(parity.byte_ns(), 625_000);
+    }
 
     #[test]
     fn dividers_are_near_enough_or_there_is_none() {

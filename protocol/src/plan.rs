@@ -74,7 +74,7 @@ pub struct Timeouts {
     pub motion: Microseconds,
     /// From LED enable to current sense, and from disable to no sense.
     pub led: Microseconds,
-    /// From DMD trigger to DMD ready.
+    /// From a selected pattern to its being loaded, and from DMD trigger to DMD ready.
     pub dmd: Microseconds,
     /// For the camera to become ready, to start its exposure after the trigger, and to end it after the trigger fell.
     pub camera: Microseconds,
@@ -264,7 +264,7 @@ impl Limits {
         vertical_speed_max: MicrometresPerSecond(300_000),
         vertical_acceleration_max: MicrometresPerSecondSquared(5_000_000),
         stage_axes: 3,
-        stage_baud_min: 1_200,
+        stage_baud_min: 19_200,
         stage_baud_max: 921_600,
         lens_min: LensCounts(200),
         lens_max: LensCounts(800),

@@ -626,7 +626,7 @@ mod tests {
         for (error, words) in [
             (
                 refused(|s| s.line.baud = 300),
-                "line speed 300 is outside 1200 .. 921600 baud",
+                "line speed 300 is outside 19200 .. 921600 baud",
             ),
             (
                 refused(|s| s.line.parity = Parity::Even),

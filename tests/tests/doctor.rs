@@ -108,6 +108,28 @@ fn what_has_failed_says_what_would_be_right() {
     expect(&absent, "tool", "ok", "demo die", "");
     expect(&absent, "head", "ok", "self-test due", "");
 
+    // Without the camera's program the port is asked all the same.
+    let station = folder.path().join("press.toml");
+    let text =
+        format!("[controller]\nlink = \"{nowhere}\"\n[camera]\ncommand = [\"no-such-camera\"]\n");
+    std::fs::write(&station, text).unwrap();
+    let blind = doctor(&["--station", station.to_str().unwrap(), "--tool", &tool]);
+    assert_eq!(blind.code, 3, "{}", blind.json);
+    expect(
+        &blind,
+        "controller",
+        "failed",
+        nowhere,
+        "plug the controller in",
+    );
+    expect(
+        &blind,
+        "camera",
+        "failed",
+        "no-such-camera",
+        "camera.command",
+    );
+
     let bare = doctor(&["--link", nowhere]);
     assert_eq!(bare.code, 3);
     expect(&bare, "tool", "failed", "without --tool", "--tool DIR");

@@ -40,6 +40,8 @@ pub struct NotSelected;
 pub trait Dmd {
     /// Selects the pattern that the next trigger shows, and makes ready fall: 0 is black.
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected>;
+    /// Whether the selected pattern has been fetched: a trigger before is missed.
+    async fn is_loaded(&mut self) -> Result<bool, NotSelected>;
     /// Drives the trigger; its rising edge shows the selected pattern.
     fn trigger(&mut self, level: bool);
     /// Completes when ready is high.
@@ -138,6 +140,17 @@ impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
         }
     }
 
+    /// Whether a projector's DMD has fetched the selected pattern.
+    ///
+    /// # Errors
+    /// It does not say, or no such projector is fitted.
+    pub async fn is_loaded(&mut self, projector: Projector) -> Result<bool, NotSelected> {
+        match self.engine(projector) {
+            Some(engine) => engine.dmd.is_loaded().await,
+            None => Err(NotSelected),
+        }
+    }
+
     /// Completes when a line awaited has its level. May be dropped at any time.
     pub async fn wait(&mut self, awaiting: Awaiting) -> Input {
         let Self {
@@ -194,6 +207,10 @@ impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
 pub trait PatternPort {
     /// Makes `pattern` the next to be shown; ready must be low when this completes.
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected>;
+    /// Whether it has been fetched. Of patterns that need not be fetched nobody asks.
+    async fn is_loaded(&mut self) -> Result<bool, NotSelected> {
+        Ok(true)
+    }
 }
 
 /// Sets the LED's current, for instance through a converter.
@@ -263,6 +280,9 @@ where
 {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
         self.port.select(pattern).await
+    }
+    async fn is_loaded(&mut self) -> Result<bool, NotSelected> {
+        self.port.is_loaded().await
     }
     fn trigger(&mut self, level: bool) {
         drive(&mut self.trigger, level);

@@ -7,6 +7,8 @@ pub const ADDRESS: u8 = 0x1A;
 
 /// Sub-addresses for reading; with the highest bit set they are those for writing.
 pub mod register {
+    /// Main status: bit 1 is set while a sequence runs, which one that waits for its trigger does.
+    pub const MAIN_STATUS: u8 = 0x22;
     /// Pattern display, start or stop.
     pub const START_STOP: u8 = 0x65;
     /// Display mode.
@@ -21,6 +23,8 @@ const LONGEST: usize = 13;
 pub const STOP: u8 = 0;
 /// Of [`register::START_STOP`].
 pub const START: u8 = 2;
+/// Of [`register::MAIN_STATUS`]: the sequencer runs. Until then it fetches its image from flash, and misses a trigger.
+pub const RUNNING: u8 = 1 << 1;
 /// Of [`register::DISPLAY_MODE`]: patterns, not video.
 pub const PATTERNS: u8 = 1;
 

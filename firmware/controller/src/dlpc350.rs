@@ -1,7 +1,8 @@
 //! Pattern engine: a TI DLPC350-class DMD controller over I2C, showing patterns out of its own flash.
 //!
 //! Each pattern is a sequence of one, so that one trigger shows exactly one pattern and a missed trigger can never
-//! shift those behind it: stop, point the look-up tables at the pattern, validate, start, then wait for the trigger.
+//! shift those behind it: stop, point the look-up tables at the pattern, validate, start, wait until it runs (its image comes from
+//! flash), then trigger.
 //!
 //! | I2C write | read | meaning                            | bytes                                                  |
 //! |-----------|------|------------------------------------|--------------------------------------------------------|
@@ -14,6 +15,7 @@
 //! | `0xF6`    |      | look-up table offset               | 0..=127                                                |
 //! | `0xF7`    |      | mailbox                            | 1 image indices, 2 pattern definitions, 0 closes       |
 //! | `0xF8`    |      | mailbox data                       | image index, or a 3 byte pattern definition            |
+//! |           | `0x22` | main status                      | bit 1: the sequence runs                               |
 //! | `0xFD`    | `0x7D` | validation                       | bit 7 busy; bits 0..=4 what is wrong                   |
 //!
 //! An answer begins with a status byte, bit 0 of which says that the rest is one; until then it is read again, not asked
@@ -27,8 +29,8 @@
 //! nor the guide gives a reason. Nothing has been tried on a chip here: check the times on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
-use crate::dlpc::register::{DISPLAY_MODE, START_STOP};
-use crate::dlpc::{BusFailed, PATTERNS, Registers, START, STOP};
+use crate::dlpc::register::{DISPLAY_MODE, MAIN_STATUS, START_STOP};
+use crate::dlpc::{BusFailed, PATTERNS, RUNNING, Registers, START, STOP};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::Microseconds;
@@ -173,10 +175,8 @@ impl<B: I2c> Dlpc350<B> {
     /// No such pattern, a dead bus, or settings that the controller refuses.
     pub async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
         let shown = self.arm_once(pattern).await;
-        if shown.is_err() {
-            // The controller may have restarted: begin from nothing.
-            self.prepared = false;
-        }
+        // Until it is seen to run the controller may have restarted: begin from nothing.
+        self.prepared = false;
         shown
     }
 
@@ -228,6 +228,17 @@ impl<B: I2c> Dlpc350<B> {
         Err(PatternError::Validating { limit_ms: POLLS })
     }
 
+    /// Whether the pattern armed last has been fetched from flash and waits for its trigger.
+    ///
+    /// # Errors
+    /// A dead bus.
+    pub async fn is_waiting(&mut self) -> Result<bool, PatternError> {
+        self.registers.ask(MAIN_STATUS).await?;
+        let [status, main] = self.registers.answer().await?;
+        self.prepared = status & READY != 0 && main & RUNNING != 0;
+        Ok(self.prepared)
+    }
+
     /// Flash image and table entry of a pattern.
     ///
     /// Bits 0..=1 trigger (1 external, rising edge), 2..=7 pattern within the image, 8..=11 bit depth, 12..=14 LEDs
@@ -256,5 +267,8 @@ impl<B: I2c> Dlpc350<B> {
 impl<B: I2c> PatternPort for Dlpc350<B> {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
         self.arm(pattern).await.map_err(|_| NotSelected)
+    }
+    async fn is_loaded(&mut self) -> Result<bool, NotSelected> {
+        self.is_waiting().await.map_err(|_| NotSelected)
     }
 }

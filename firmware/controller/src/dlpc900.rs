@@ -14,6 +14,7 @@
 //! | `0xF5`    |        | look-up table, execution | u16 entries, u32 patterns to show                                       |
 //! | `0xF8`    |        | look-up table, one entry | 12 bytes, see `Dlpc900::entry`                                          |
 //! | `0xF9`    |        | TRIG_IN_1                | u16 delay, us; bit 0: 0 = rising edge                                   |
+//! |           | `0x22` | main status              | bit 1: the sequence runs                                                |
 //! |           | `0x12` | kind of the firmware     | first byte: the DMD, 5 = DLP5500; then 32 letters                       |
 //! |           | `0x32` | error of the last command | 0 none; 3 no such command, 5 not in this mode, 6 and 9 to 17 the pattern |
 //!
@@ -24,8 +25,8 @@
 //! a chip here: check the times on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
-use crate::dlpc::register::{DISPLAY_MODE, START_STOP};
-use crate::dlpc::{BusFailed, PATTERNS, Registers, START, STOP};
+use crate::dlpc::register::{DISPLAY_MODE, MAIN_STATUS, START_STOP};
+use crate::dlpc::{BusFailed, PATTERNS, RUNNING, Registers, START, STOP};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::Microseconds;
@@ -176,10 +177,8 @@ impl<B: I2c> Dlpc900<B> {
     /// No such pattern, a dead bus, other mirrors, or settings that the controller refuses.
     pub async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
         let armed = self.arm_once(pattern).await;
-        if armed.is_err() {
-            // The controller may have restarted: begin from nothing.
-            self.prepared = false;
-        }
+        // Until it is seen to run the controller may have restarted: begin from nothing.
+        self.prepared = false;
         armed
     }
 
@@ -209,6 +208,15 @@ impl<B: I2c> Dlpc900<B> {
         // One entry, one pattern: shown once, then black.
         self.order(register::EXECUTION, [1, 0, 1, 0, 0, 0]).await?;
         self.order(START_STOP, [START]).await
+    }
+
+    /// Whether the pattern armed last has been fetched from flash and waits for its trigger.
+    ///
+    /// # Errors
+    /// A dead bus.
+    pub async fn is_waiting(&mut self) -> Result<bool, PatternError> {
+        self.prepared = self.first_byte(MAIN_STATUS).await? & RUNNING != 0;
+        Ok(self.prepared)
     }
 
     /// Table entry of a pattern.
@@ -250,5 +258,8 @@ impl<B: I2c> Dlpc900<B> {
 impl<B: I2c> PatternPort for Dlpc900<B> {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
         self.arm(pattern).await.map_err(|_| NotSelected)
+    }
+    async fn is_loaded(&mut self) -> Result<bool, NotSelected> {
+        self.is_waiting().await.map_err(|_| NotSelected)
     }
 }

@@ -2,8 +2,9 @@
 
 use embassy_stm32::dac::{Dac, DacChannel, Value};
 use embassy_stm32::exti::{self, ExtiInput};
-use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
+use embassy_stm32::gpio::{AnyPin, Input, Level, Output, OutputOpenDrain, Pin, Pull, Speed};
 use embassy_stm32::i2c::{self, I2c, Master};
+use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::mode::{Async, Blocking};
 use embassy_stm32::peripherals::{
     DMA1_CH0, DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, DMA1_CH5, I2C1, I2C2, I2C3, IWDG1, USART2,
@@ -12,7 +13,7 @@ use embassy_stm32::peripherals::{
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Config, bind_interrupts, dma, interrupt, rcc};
+use embassy_stm32::{Config, Peri, bind_interrupts, dma, interrupt, pac, rcc};
 use embassy_time::Duration;
 use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
@@ -109,9 +110,18 @@ pub struct Board {
 }
 
 impl Board {
-    /// Sets clocks and pins: every output low. `None` if a UART refuses its settings, which are fixed.
+    /// Sets clocks and pins: every output low, before anything else is done. `None` if a UART refuses its settings, which are fixed.
     pub fn take() -> Option<Self> {
-        let p = embassy_stm32::init(clocks());
+        let mut p = embassy_stm32::init(clocks());
+        watch_supply();
+        let low = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::Low, Speed::Low);
+        let [led, second_led, head_clear_1, head_clear_2] =
+            [p.PE2.into(), p.PE15.into(), p.PE12.into(), p.PE14.into()].map(low);
+        let [dmd, second_dmd, camera] = [p.PE6.into(), p.PE9.into(), p.PE7.into()].map(low);
+        let [go, no_go, beat] = [p.PG0.into(), p.PG1.into(), p.PG2.into()].map(low);
+        free_bus(p.PB8.reborrow(), p.PB9.reborrow());
+        free_bus(p.PA8.reborrow(), p.PC9.reborrow());
+        free_bus(p.PB10.reborrow(), p.PB11.reborrow());
         let mut bus = i2c::Config::default();
         bus.frequency = Hertz(BUS_HZ);
         bus.timeout = BUS_TIMEOUT;
@@ -121,15 +131,17 @@ impl Board {
         let [first_current, second_current] =
             LedCurrent::both(Dac::new_blocking(p.DAC1, p.PA4, p.PA5));
         // A bridge in its plug: what is not plugged in is not there.
-        let fitted = Input::new(p.PG3, Pull::Down).is_high();
+        let plug = Input::new(p.PG3, Pull::Down);
+        settle(SIGNAL_SETTLE_US);
+        let fitted = plug.is_high();
         let second = LightEngine {
             led: PinLed {
-                enable: Output::new(p.PE15, Level::Low, Speed::Low),
+                enable: second_led,
                 sense: ExtiInput::new(p.PE13, p.EXTI13, Pull::Down, Irqs),
                 current: second_current,
             },
             dmd: PinDmd {
-                trigger: Output::new(p.PE9, Level::Low, Speed::Low),
+                trigger: second_dmd,
                 ready: ExtiInput::new(p.PE11, p.EXTI11, Pull::Down, Irqs),
                 port: DmdController::new(second_patterns, PATTERNS),
             },
@@ -138,19 +150,19 @@ impl Board {
         let optics = Optics {
             first: LightEngine {
                 led: PinLed {
-                    enable: Output::new(p.PE2, Level::Low, Speed::Low),
+                    enable: led,
                     sense: ExtiInput::new(p.PE3, p.EXTI3, Pull::Down, Irqs),
                     current: first_current,
                 },
                 dmd: PinDmd {
-                    trigger: Output::new(p.PE6, Level::Low, Speed::Low),
+                    trigger: dmd,
                     ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
                     port: DmdController::new(patterns, PATTERNS),
                 },
             },
             second: fitted.then_some(second),
             camera: PinCamera {
-                trigger: Output::new(p.PE7, Level::Low, Speed::Low),
+                trigger: camera,
                 ready: ExtiInput::new(p.PE5, p.EXTI5, Pull::Down, Irqs),
                 exposing: ExtiInput::new(p.PE10, p.EXTI10, Pull::Down, Irqs),
             },
@@ -165,13 +177,10 @@ impl Board {
             guard_closed: ExtiInput::new(p.PF6, p.EXTI6, input_low, Irqs),
             cycle: ExtiInput::new(p.PF7, p.EXTI7, input_low, Irqs),
             retract_switch: ExtiInput::new(p.PF8, p.EXTI8, input_low, Irqs),
-            head_clear: [
-                Output::new(p.PE12, Level::Low, Speed::Low),
-                Output::new(p.PE14, Level::Low, Speed::Low),
-            ],
-            go: Output::new(p.PG0, Level::Low, Speed::Low),
-            no_go: Output::new(p.PG1, Level::Low, Speed::Low),
-            beat: Output::new(p.PG2, Level::Low, Speed::Low),
+            head_clear: [head_clear_1, head_clear_2],
+            go,
+            no_go,
+            beat,
         };
         static HOST: StaticCell<[[u8; MAX_FRAME_BYTES]; 2]> = StaticCell::new();
         static STAGE: StaticCell<[[u8; 128]; 2]> = StaticCell::new();
@@ -306,18 +315,129 @@ impl Watchdog for BoardWatchdog {
     }
 }
 
-/// The watchdog made the reset before this start. Forgets it.
-pub fn watchdog_reset() -> bool {
-    let causes = embassy_stm32::pac::RCC.rsr();
-    let bitten = causes.read().iwdg1rstf();
-    causes.modify(|bits| bits.set_rmvf(true));
-    bitten
+/// What the chip says made the reset before this start.
+pub struct ResetFlags {
+    pub watchdog: bool,
+    /// Power came on, or fell below the brown-out level.
+    pub power: bool,
+}
+
+impl ResetFlags {
+    /// Reads and forgets them.
+    pub fn take() -> Self {
+        let causes = pac::RCC.rsr();
+        let read = causes.read();
+        causes.modify(|bits| bits.set_rmvf(true));
+        Self {
+            watchdog: read.iwdg1rstf(),
+            power: read.porrstf() || read.borrstf(),
+        }
+    }
+}
+
+/// Two of the backup domain's registers: they keep their content over every reset but the loss of power. The RAM does not: it is
+/// written in words of 64 bits with their ECC, and a reset may take the one that still waits to be completed.
+pub struct Kept(());
+
+impl Kept {
+    const MARK: usize = 0;
+    const CAUSE: usize = 1;
+
+    /// Clock on, write protection off. For use before interrupts are on, or after they are off.
+    pub fn open() -> Self {
+        pac::RCC.apb4enr().modify(|bits| bits.set_rtcapben(true));
+        // The clock arrives before the access behind this read.
+        let _clocked = pac::RCC.apb4enr().read();
+        pac::PWR.cr1().modify(|bits| bits.set_dbp(true));
+        while !pac::PWR.cr1().read().dbp() {}
+        Self(())
+    }
+
+    /// The mark, once; the cause stays for a debugger.
+    pub fn take_mark(&self) -> u32 {
+        let mark = pac::RTC.bkpr(Self::MARK).read().bkp();
+        Self::write(Self::MARK, 0);
+        mark
+    }
+
+    /// Cause first, so that a mark has one.
+    pub fn put(&self, mark: u32, cause: u32) {
+        Self::write(Self::CAUSE, cause);
+        Self::write(Self::MARK, mark);
+    }
+
+    /// Until it reads back, a few times at most: a reset is due, with or without it.
+    fn write(at: usize, value: u32) {
+        for _ in 0..4 {
+            pac::RTC.bkpr(at).write(|bits| bits.set_bkp(value));
+            cortex_m::asm::dsb();
+            if pac::RTC.bkpr(at).read().bkp() == value {
+                return;
+            }
+        }
+    }
+}
+
+/// Threshold of the supply's detector: 2.85 V falling (RM0433, PWR_CR1.PLS). Above the highest brown-out level of the option bytes.
+const SUPPLY_LEVEL: u8 = 0b110;
+
+/// Waits for the supply, then watches it: below the threshold `PVD_AVD` drops the outputs.
+fn watch_supply() {
+    pac::PWR.cr1().modify(|bits| {
+        bits.set_pls(SUPPLY_LEVEL);
+        bits.set_pvde(true);
+    });
+    settle(SIGNAL_SETTLE_US);
+    // Every output is still an input, pulled low outside.
+    while pac::PWR.csr1().read().pvdo() {}
+    const PVD_LINE: usize = 16;
+    pac::EXTI
+        .rtsr(0)
+        .modify(|bits| bits.set_line(PVD_LINE, true));
+    pac::EXTI.pr(0).write(|bits| bits.set_line(PVD_LINE, true));
+    pac::EXTI
+        .imr(0)
+        .modify(|bits| bits.set_line(PVD_LINE, true));
+    interrupt::PVD_AVD.set_priority(Priority::P0);
+    // SAFETY: its handler shares nothing with the rest of the program.
+    unsafe { interrupt::PVD_AVD.enable() };
+}
+
+/// Lets an input with a pull resistor of 40 kOhm and a metre of cable reach its level.
+const SIGNAL_SETTLE_US: u32 = 50;
+/// Half a bit of the I2C bus's slow mode.
+const HALF_BIT_US: u32 = 5;
+
+/// Busy waiting at 400 MHz.
+fn settle(time_us: u32) {
+    cortex_m::asm::delay(400 * time_us);
+}
+
+/// Frees an I2C bus whose device was left in the middle of a byte by a reset: it holds SDA low until it has had its clocks, nine at
+/// most, then a stop (UM10204, 3.1.16).
+fn free_bus(scl: Peri<'_, impl Pin>, sda: Peri<'_, impl Pin>) {
+    let mut scl = OutputOpenDrain::new(scl, Level::High, Speed::Low);
+    let mut sda = OutputOpenDrain::new(sda, Level::High, Speed::Low);
+    settle(HALF_BIT_US);
+    for _ in 0..9 {
+        if sda.is_high() {
+            break;
+        }
+        scl.set_low();
+        settle(HALF_BIT_US);
+        scl.set_high();
+        settle(HALF_BIT_US);
+    }
+    // A start and a stop: whoever still listens to a transfer hears its end.
+    sda.set_low();
+    settle(HALF_BIT_US);
+    sda.set_high();
+    settle(HALF_BIT_US);
 }
 
 /// Both LED enables, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.
 pub fn go_dark() {
-    use embassy_stm32::pac::GPIOE;
     for pin in [2, 7, 12, 14, 15] {
-        GPIOE.bsrr().write(|bits| bits.set_br(pin, true));
+        pac::GPIOE.bsrr().write(|bits| bits.set_br(pin, true));
     }
 }

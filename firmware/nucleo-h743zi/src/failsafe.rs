@@ -1,54 +1,44 @@
-//! What happens when the program itself is wrong: the cause is kept, the LED goes out, the controller starts anew.
+//! What happens when the program itself is wrong, or its supply fails: the outputs go low, the cause is kept, the controller starts
+//! anew. What the stages were doing is stopped at every start, whatever its cause is said to be (the sequencer's first request).
 
-use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
-use core::ptr::addr_of_mut;
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
+use embassy_stm32::interrupt;
 use flankscope_protocol::message::Boot;
 
-/// Survives a reset, not a power cycle.
-#[repr(C)]
-struct Kept {
-    /// Says that the rest was written.
-    mark: u32,
-    /// Source line of a panic, or address of a fault; for a debugger.
-    cause: u32,
-}
+use crate::board::{Kept, ResetFlags};
 
-const MARK: u32 = 0x5AFE_B007;
-
-#[unsafe(link_section = ".uninit.KEPT")]
-static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
+/// In the first kept register: why the controller reset itself. The second holds the source line of a panic or the address of a
+/// fault, for a debugger.
+const PANIC: u32 = 0x5AFE_B007;
+const BROWN_OUT: u32 = 0x5AFE_B0F0;
 
 /// Why the controller started.
 pub fn boot() -> Boot {
-    let kept = addr_of_mut!(KEPT).cast::<Kept>();
-    // SAFETY: called once, before interrupts are on; any content is a valid `Kept`.
-    let mark = unsafe { (*kept).mark };
-    if crate::board::watchdog_reset() {
-        return Boot::Watchdog;
+    let flags = ResetFlags::take();
+    let mark = Kept::open().take_mark();
+    match mark {
+        _ if flags.watchdog => Boot::Watchdog,
+        PANIC => Boot::Panic,
+        BROWN_OUT => Boot::PowerUp,
+        _ if flags.power => Boot::PowerUp,
+        // The reset pin, a debugger, or what no flag tells.
+        _ => Boot::Requested,
     }
-    if mark != MARK {
-        return Boot::PowerUp;
-    }
-    // SAFETY: as above. The cause stays for a debugger.
-    unsafe { addr_of_mut!((*kept).mark).write_volatile(0) };
-    Boot::Panic
 }
 
-/// Keeps the cause, drops the LED and the camera trigger, resets.
-pub fn fall_safe(cause: u32) -> ! {
+fn reset(mark: u32, cause: u32) -> ! {
     cortex_m::interrupt::disable();
     crate::board::go_dark();
-    // SAFETY: interrupts are off and a reset follows.
-    unsafe {
-        addr_of_mut!(KEPT)
-            .cast::<Kept>()
-            .write_volatile(Kept { mark: MARK, cause })
-    };
+    Kept::open().put(mark, cause);
     SCB::sys_reset()
+}
+
+/// Drops the LEDs, the camera trigger and head-clear, keeps the cause, resets.
+pub fn fall_safe(cause: u32) -> ! {
+    reset(PANIC, cause)
 }
 
 #[panic_handler]
@@ -59,4 +49,10 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     fall_safe(frame.pc())
+}
+
+/// The supply has sunk to where the outputs' levels are not sure for long.
+#[interrupt]
+unsafe fn PVD_AVD() {
+    reset(BROWN_OUT, 0)
 }

@@ -46,6 +46,10 @@ impl Stage for Slide {
         Ok((Instant::now() >= self.there_at).then_some(self.going_to))
     }
 
+    fn watch_limit(&self) -> Duration {
+        Duration::from_millis(60)
+    }
+
     async fn identity(&mut self, _: &StageConfig) -> Result<[StageName; 2], StageFault> {
         let name = StageName::of(b"SLIDE, 7").ok_or(StageFault {
             fault: Fault::StageReply,

@@ -41,6 +41,10 @@ struct Mock {
     asked: Option<u32>,
     /// So often each.
     early_reads: u32,
+    /// Questions about the main status during which a started pattern is still fetched from flash.
+    fetching: u32,
+    /// The main status was asked about.
+    status_asked: bool,
 }
 
 impl Chip for Mock {
@@ -57,6 +61,7 @@ impl Chip for Mock {
             (0xE5, [2]) => {
                 assert!(self.validated, "started without a validation");
                 self.running = true;
+                self.fetching = FETCHING;
             }
             (0xEF, [source]) => self.source = *source,
             (0xF0, [mode]) => self.trigger_mode = *mode,
@@ -80,13 +85,21 @@ impl Chip for Mock {
                 (self.validated, self.busy_polls) = (true, 3);
             }
             // A question replaces the one before.
-            (0x7D, []) => self.asked = Some(self.early_reads),
+            (0x7D, []) => (self.asked, self.status_asked) = (Some(self.early_reads), false),
+            (0x22, []) => (self.asked, self.status_asked) = (None, true),
             other => panic!("no such command: {other:02x?}"),
         }
     }
 
     fn read(&mut self, answer: &mut [u8]) {
         assert_eq!(answer.len(), 2);
+        if std::mem::take(&mut self.status_asked) {
+            // The mirrors are not parked; the sequence runs once its image is there.
+            let runs = self.running && self.fetching == 0;
+            self.fetching = self.fetching.saturating_sub(1);
+            answer.copy_from_slice(&[1, u8::from(runs) << 1]);
+            return;
+        }
         match &mut self.asked {
             None => panic!("read without a question"),
             // Not ready: what follows the status byte is no answer, though it reads like a good one.
@@ -136,6 +149,9 @@ impl Mock {
     }
 }
 
+/// Questions that an image takes.
+const FETCHING: u32 = 2;
+
 const SETTINGS: Settings = Settings {
     depth: BitDepth::Eight,
     exposure: Microseconds(100_000),
@@ -146,7 +162,9 @@ impl PatternEngine for Dlpc350<I2cBus> {
     type Error = PatternError;
 
     async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
-        self.arm(pattern).await
+        Self::arm(self, pattern).await?;
+        while !self.is_waiting().await? {}
+        Ok(())
     }
 }
 

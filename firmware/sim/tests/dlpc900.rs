@@ -35,6 +35,8 @@ struct Mock {
     /// Taken over by the execution command.
     shown: Option<Shown>,
     running: bool,
+    /// Questions about the main status during which a started pattern is still fetched from flash.
+    fetching: u32,
     error: u8,
     /// Sub-address whose answer comes with the next read.
     asked: Option<u8>,
@@ -50,6 +52,7 @@ impl Default for Mock {
             entry: None,
             shown: None,
             running: false,
+            fetching: 0,
             error: 0,
             asked: None,
         }
@@ -86,7 +89,7 @@ impl Chip for Mock {
                 0
             }
             (0xE5, [2]) if self.mode == 1 && self.shown.is_some() => {
-                self.running = true;
+                (self.running, self.fetching) = (true, 2);
                 0
             }
             (0xF9, [low, high, edge]) => {
@@ -112,6 +115,11 @@ impl Chip for Mock {
         let value = match self.asked.take() {
             Some(0x32) => self.error,
             Some(0x12) => self.kind,
+            Some(0x22) => {
+                let runs = self.running && self.fetching == 0;
+                self.fetching = self.fetching.saturating_sub(1);
+                u8::from(runs) << 1
+            }
             other => panic!("read without a question: {other:?}"),
         };
         answer.fill(0);
@@ -159,7 +167,9 @@ impl PatternEngine for Dlpc900<I2cBus> {
     type Error = PatternError;
 
     async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
-        self.arm(pattern).await
+        Self::arm(self, pattern).await?;
+        while !self.is_waiting().await? {}
+        Ok(())
     }
 }
 
@@ -208,9 +218,12 @@ fn a_selection_is_these_bytes() {
         &[0xF5, 1, 0, 1, 0, 0, 0],
         &[0xE5, 2],
     ];
+    // Then, until it runs, the question about the main status: no twice, while the image is fetched, then yes.
+    let status: [&[u8]; 2] = [&[0x22], &[]];
     let expected: Vec<&[u8]> = orders
         .into_iter()
         .flat_map(|order| std::iter::once(order).chain(question.iter().copied()))
+        .chain([status; 3].into_iter().flatten())
         .collect();
     assert_eq!(log[log.len() - expected.len()..], expected);
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use flankscope_metrology::deviation::{Order, Statistics, deviations, statistics};
+use flankscope_metrology::deviation::{Statistics, deviations, statistics};
 use flankscope_metrology::multiview::adjustment::{Pose, Solution, Stages, ViewInformation};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::multiview::drift::{Drift, durbin_watson};
@@ -28,7 +28,7 @@ pub struct MethodResult {
     /// Exact deviations of the map's cells.
     pub exact: Option<Spread>,
     /// How this method measures distances.
-    pub metric: &'static str,
+    pub metric: String,
     /// Distances of one view's points by this metric.
     pub one_view: Option<Spread>,
     /// Distances of the merged points by this metric.
@@ -241,7 +241,9 @@ impl MethodResult {
                 None => form.into(),
             }),
             exact,
-            metric: "signed distance to the surface, of every view about the form of the whole bore",
+            metric:
+                "signed distance to the surface, of every view about the form of the whole bore"
+                    .into(),
             one_view,
             merged: exact,
             iterations: None,
@@ -281,11 +283,10 @@ impl MethodResult {
             registered_views: stitched.views.len(),
             form: stitched.map.form().map(Form::from),
             exact: exact(&stitched.map),
-            metric: match settings.order {
-                Order::One => "distance to the nearest of random CAD points, order 1",
-                Order::Two => "distance to the nearest of random CAD points, order 2",
-                Order::Infinity => "distance to the nearest of random CAD points, order infinity",
-            },
+            metric: format!(
+                "distance to the nearest of random CAD points, order {}",
+                settings.order
+            ),
             one_view: stitched.one_view.map(Spread::from),
             merged: stitched.merged.map(Spread::from),
             iterations: Some(iterations),

@@ -67,6 +67,9 @@ pub struct Hinz2019Settings {
     /// search for the tooth phase.
     #[serde(skip)]
     pub first_pose: Option<Rigid<ToolFrame, Cloud>>,
+    /// The file says where the toothing ends; else the tool does.
+    #[serde(skip)]
+    pub radial_threshold_given: bool,
     /// Points around which the fringes oscillate less are masked: smoothed standard deviation, counts.
     pub mask_dn: f64,
     /// Scattered points that go beside those that are in no kept view.
@@ -134,6 +137,8 @@ radial_threshold_mm = 50.0      # mm, only points nearer to the axis belong to t
     /// With file and line: it cannot be read, has an unknown key, or a value out of range.
     pub fn load(path: &Path) -> Result<Self, TextFileError> {
         let (mut settings, _) = load_toml(path, textfile::MAX_BYTES, Self::check)?;
+        let is_key = |line: &str| line.trim_start().starts_with("radial_threshold_mm");
+        settings.radial_threshold_given = textfile::read(path)?.lines().any(is_key);
         if let Some(pairs) = &mut settings.pairs {
             *pairs = path.with_file_name("").join(&pairs);
         }
@@ -270,12 +275,24 @@ impl Hinz2019Settings {
     }
 }
 
+impl Hinz2019Settings {
+    /// For a tool whose toothing ends there, unless the file says otherwise: the article's 50 mm are its own die's.
+    #[must_use]
+    pub fn for_toothing(mut self, radial_threshold_mm: f64) -> Self {
+        if !self.radial_threshold_given {
+            self.registration.region.radial_threshold_mm = radial_threshold_mm;
+        }
+        self
+    }
+}
+
 impl Default for Hinz2019Settings {
     /// The article's values without its denoising: a view's scattered points are gone before it is kept.
     fn default() -> Self {
         Self {
             pairs: None,
             first_pose: None,
+            radial_threshold_given: false,
             serial_inlier_ratio: None,
             mask_dn: 40.0,
             denoise: None,

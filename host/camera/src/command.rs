@@ -1,11 +1,12 @@
 //! Which camera, from the command line: `flankscope-camera`, and whoever embeds it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use flankscope_frames::{FrameSender, Overflow, SharedRoot};
 
 use crate::backend::{Backend, Folder};
+use crate::screen::Screen;
 use crate::serve::serve;
 
 /// A camera, and where its frames go.
@@ -20,8 +21,9 @@ pub enum Camera {
         /// Its network is that of this process
         #[arg(long, value_name = "PID", hide = true)]
         network_of: Option<u32>,
-        /// Folder of the host's shared memory
-        root: PathBuf,
+        /// Where the frames go
+        #[command(flatten)]
+        to: Destination,
     },
     /// A GigE Vision or USB3 Vision camera (not in this build)
     #[cfg(not(feature = "aravis"))]
@@ -34,9 +36,21 @@ pub enum Camera {
     Folder {
         /// The images
         images: PathBuf,
-        /// Folder of the host's shared memory
-        root: PathBuf,
+        /// Where the frames go
+        #[command(flatten)]
+        to: Destination,
     },
+}
+
+/// Where the frames go.
+#[derive(clap::Args)]
+pub struct Destination {
+    /// Try the camera without a host: show each frame and its counts in the terminal until standard input ends
+    #[arg(long)]
+    dry_run: bool,
+    /// Folder of the host's shared memory
+    #[arg(required_unless_present = "dry_run", conflicts_with = "dry_run")]
+    root: Option<PathBuf>,
 }
 
 /// How to get the cameras that a build is without.
@@ -53,21 +67,23 @@ pub fn run(camera: &Camera) -> anyhow::Result<()> {
         Camera::Aravis {
             settings,
             network_of,
-            root,
+            to,
         } => {
             // Before the first thread.
             network_of.map_or(Ok(()), crate::namespace::join)?;
             let wanted = standard_input_is_open();
             bring(
                 &mut crate::backend::Aravis::new(settings.clone()),
-                root,
+                to.root.as_deref(),
                 &wanted,
             )
         }
         #[cfg(not(feature = "aravis"))]
         Camera::Aravis { .. } => anyhow::bail!(WITHOUT_ARAVIS),
         // It reads its triggers from standard input, and ends with it.
-        Camera::Folder { images, root } => bring(&mut Folder::new(images), root, &|| true),
+        Camera::Folder { images, to } => {
+            bring(&mut Folder::new(images), to.root.as_deref(), &|| true)
+        }
     }
 }
 
@@ -89,12 +105,16 @@ fn standard_input_is_open() -> impl Fn() -> bool {
 
 fn bring(
     camera: &mut impl Backend,
-    root: &std::path::Path,
+    root: Option<&Path>,
     wants: &dyn Fn() -> bool,
 ) -> anyhow::Result<()> {
-    let mut sink = FrameSender::open(&SharedRoot::of_owner(root)?, Overflow::Drop)?;
-    serve(camera, &mut sink, wants, &mut |words| {
-        eprintln!("flankscope-camera: {words}")
-    })?;
+    let say = &mut |words: &str| eprintln!("flankscope-camera: {words}");
+    match root {
+        Some(root) => {
+            let mut sink = FrameSender::open(&SharedRoot::of_owner(root)?, Overflow::Drop)?;
+            serve(camera, &mut sink, wants, say)?;
+        }
+        None => serve(camera, &mut Screen::new(), wants, say)?,
+    }
     Ok(())
 }

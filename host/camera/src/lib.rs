@@ -11,6 +11,7 @@
 //! | [`unpack`] | a camera's packed samples into the slot's |
 //! | [`frame_id`] | which frames are missing, by numbers that wrap |
 //! | [`serve`] | the loop between them |
+//! | [`screen`] | a host that only looks: frames as text, for `--dry-run` |
 //! | [`diagnosis`] | what is wrong with the link, in words |
 
 pub mod backend;
@@ -19,5 +20,6 @@ pub mod diagnosis;
 pub mod frame_id;
 #[cfg(feature = "aravis")]
 mod namespace;
+pub mod screen;
 pub mod serve;
 pub mod unpack;

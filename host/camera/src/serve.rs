@@ -19,7 +19,7 @@ const RETRY: Duration = Duration::from_secs(1);
 /// stays unarmed, and the host moves nothing.
 ///
 /// # Errors
-/// The camera cannot be configured, at the start or after it came back.
+/// The camera cannot be configured at the start. One that came back and cannot be is tried again: a check may still be triggering it.
 pub fn serve(
     backend: &mut impl Backend,
     sink: &mut impl FrameSink,
@@ -43,10 +43,10 @@ pub fn serve(
             Err(error @ CameraError::Gone { .. }) => {
                 say(&error.to_string());
                 server.slot = None;
-                let Some(description) = look_again(backend, wants)? else {
+                let Some(description) = look_again(backend, wants, say) else {
                     break;
                 };
-                say("the camera is back");
+                say("the camera is back; what it exposes until it is armed again is missing");
                 server.introduce(description, sink, say);
             }
             Err(error) => say(&error.to_string()),
@@ -56,19 +56,28 @@ pub fn serve(
     Ok(())
 }
 
-/// Looks for a camera that is gone until it is there; nothing if nobody wants it any more.
+/// Looks for a camera that is gone until it is there and takes its settings; nothing if nobody wants it any more.
 fn look_again(
     backend: &mut impl Backend,
     wants: &dyn Fn() -> bool,
-) -> Result<Option<Description>, CameraError> {
+    say: &mut dyn FnMut(&str),
+) -> Option<Description> {
+    let mut said = String::new();
     while wants() {
         match backend.configure() {
-            Ok(description) => return Ok(Some(description)),
-            Err(CameraError::Gone { .. }) => std::thread::sleep(RETRY),
-            Err(error) => return Err(error),
+            Ok(description) => return Some(description),
+            Err(CameraError::Gone { .. }) => {}
+            Err(error) => {
+                let words = format!("the camera is back, but {error}");
+                if words != said {
+                    say(&words);
+                }
+                said = words;
+            }
         }
+        std::thread::sleep(RETRY);
     }
-    Ok(None)
+    None
 }
 
 struct Server<S> {

@@ -188,3 +188,37 @@ fn what_is_no_camera_is_named() {
         &["rate"],
     );
 }
+
+/// Without a host: what the camera is, and each frame's counts.
+#[test]
+fn a_dry_run_shows_frames_without_a_host() {
+    let folder = tempfile::tempdir().unwrap();
+    images(folder.path(), 2, None, "model = \"F 2\"\n");
+    let mut child = Command::new(PROGRAM)
+        .arg("folder")
+        .arg(folder.path())
+        .arg("--dry-run")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    use std::io::Write;
+    child
+        .stdin
+        .take()
+        .unwrap()
+        .write_all(b"1000\n1000\n")
+        .unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    for words in [
+        "F 2",
+        "64 x 48 px, 12 bits",
+        "frame 0: ",
+        "frame 1: ",
+        "% saturated",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+}

@@ -70,6 +70,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.common.quiet {
         say("the views are laid by positions, one on the other, the article's way and ours");
     }
+    let settings = match &subject.tool.gear {
+        Some(gear) => settings.for_toothing(gear.radial_threshold_mm),
+        None => settings,
+    };
     let mut finished = FinishedScan::open(subject, folder)?;
     let sections = recording.as_ref().map(|frames| finished.sections(frames));
     let sections = sections.transpose().context("--frames")?;

@@ -13,6 +13,7 @@ use flankscope_profilometry::decode::{
     Cloud, ConsistencyOptions, DecodeOptions, Decoder, LightMedians, LightParts, MaskOptions,
     PatchOptions, PhaseMaps, Rejected,
 };
+use flankscope_profilometry::frame_order;
 use flankscope_profilometry::head::HeadModel;
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
@@ -135,6 +136,7 @@ struct Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let format = Format::of_cloud(&args.output)?;
     let start = Instant::now();
     let head = HeadModel::load(&args.head).context("head")?;
     let head = head.with_projector(args.projector);
@@ -145,6 +147,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let plan = Plan::load(&args.plan).context("plan")?;
     let size_px = [head.camera.width_px, head.camera.height_px];
     let frames = plan.images(&args.images, size_px)?;
+    frame_order::check(&plan.patterns, &frames)
+        .with_context(|| format!("images of {}", args.images.display()))?;
     let loaded = Instant::now();
 
     let bits = frames.first().map_or(8, |(_, image)| image.bits);
@@ -165,12 +169,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
     let cloud = &decoded.cloud;
     flankscope_foundation::files::stream_whole(&args.output, |file| {
-        write_cloud(
-            Format::from_path(&args.output),
-            file,
-            cloud,
-            args.light_parts,
-        )
+        write_cloud(format, file, cloud, args.light_parts)
     })
     .with_context(|| format!("cannot write {}", args.output.display()))?;
     if let Some(path) = &args.phase {
@@ -199,7 +198,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         },
     };
     if !args.common.quiet {
-        if decoded.frame_noise_ratio > NOTABLE_NOISE_RATIO {
+        // What was assumed promises nothing about the noise.
+        if !sensor_assumed && decoded.frame_noise_ratio > NOTABLE_NOISE_RATIO {
             say(&format!(
                 "frames scatter {:.1} times as much as [sensor] predicts: limits and uncertainties were raised by that; \
                  check gain_e_per_dn and read_noise_e, or look for a flickering lamp and a bent response",
@@ -228,7 +228,9 @@ fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {
         min_contrast: args.min_contrast,
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
-        consistency: consistency.map_or(defaults.consistency, ConsistencyOptions::for_images),
+        consistency: consistency
+            .map(ConsistencyOptions::for_images)
+            .or(defaults.consistency),
         smoothing_px: args.smooth.unwrap_or(defaults.smoothing_px),
         coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {

@@ -4,15 +4,13 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use flankscope_metrology::deviation::{self, Statistics};
+use flankscope_metrology::deviation::{self, Order, Statistics};
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::surface::orientation::Orientation;
 use flankscope_metrology::surface::{Surface, sampling};
 use serde::Serialize;
 
-use crate::geometry::{
-    Cad, CadArgs, CloudUnit, MinkowskiOrder, load_cloud, milliseconds, tell, write_file,
-};
+use crate::geometry::{Cad, CadArgs, CloudUnit, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Signed distance of every point of a cloud to a CAD mesh.
@@ -31,9 +29,9 @@ pub struct Args {
     /// Distance to the surface itself (exact, signed), or to the nearest of random points on it (the article's, unsigned).
     #[arg(long, value_enum, default_value_t = Metric::Surface)]
     metric: Metric,
-    /// Order of the Minkowski distance, for `--metric nearest`.
-    #[arg(long, value_enum, default_value_t = MinkowskiOrder::Two)]
-    order: MinkowskiOrder,
+    /// Order of the Minkowski distance, a number from 1 on or inf, for `--metric nearest`.
+    #[arg(long, value_name = "P", default_value_t = Order::Two)]
+    order: Order,
     /// Number of random surface points, for `--metric nearest`.
     #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
@@ -73,11 +71,12 @@ struct Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    if args.metric == Metric::Surface && args.order != MinkowskiOrder::Two {
+    if args.metric == Metric::Surface && args.order != Order::Two {
         anyhow::bail!(
             "--order applies to --metric nearest; the distance to the surface is Euclidean (order 2)"
         );
     }
+    let format = Format::of_cloud(&args.output)?;
     let start = Instant::now();
     let Cad { mesh, orientation } = args.cad.load(&args.common)?;
     let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
@@ -94,7 +93,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 sampling::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
             let tree = deviation::SampleTree::new(&samples).with_context(cad)?;
             let prepared = Instant::now();
-            (tree.distances(&cloud.points, args.order.into()), prepared)
+            (tree.distances(&cloud.points, args.order), prepared)
         }
     };
     let signed = args.metric == Metric::Surface && orientation.unsigned.is_none();
@@ -108,7 +107,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .with_context(|| format!("cloud {} has no points", args.cloud.display()))?;
     write_file(&args.output, |out| {
         let columns = [("deviation", &deviations[..])];
-        cloud.write(Format::from_path(&args.output), out, &columns)
+        cloud.write(format, out, &columns)
     })?;
     let report = Report {
         signed,

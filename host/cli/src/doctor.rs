@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use flankscope_frames::{FrameReceiver, FrameSource, default_base};
+use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::doctor::{self, Finding, healthy};
 use flankscope_jobs::readiness;
 use flankscope_metrology::tool::Tool;
@@ -220,23 +221,37 @@ impl Args {
         let mut instrument = match started {
             Ok(instrument) => instrument,
             Err(why) => {
-                let mut findings = unasked("it could not be started");
-                findings[0] =
-                    Finding::failed("controller", in_words(&why), "see what it said above");
+                let why = in_words(&why);
+                let Link::Port(port) = site.link() else {
+                    let mut findings = unasked("the bench could not be started");
+                    findings[0] = Finding::failed("controller", why, BENCH_REMEDY);
+                    return findings;
+                };
+                // Only the camera's process is started at a press: the port can be asked without it.
+                let mut findings = self.controller(port, site.settings.client(), site);
+                let remedy = match site.settings.camera.command.is_empty() {
+                    true => BENCH_REMEDY,
+                    false => CAMERA_REMEDY,
+                };
+                findings.push(Finding::failed("camera", why, remedy));
                 return findings;
             }
         };
-        let mut findings = doctor::controller(
-            &instrument.port,
-            instrument.settings,
-            &site.settings.stages.config(),
-            self.acknowledge_fault,
-        )
-        .to_vec();
+        let settings = instrument.settings.clone();
+        let mut findings = self.controller(&instrument.port, settings, site);
         findings.push(camera(&mut instrument.job, site));
         findings
     }
+
+    /// Findings on controller, stages and press.
+    fn controller(&self, port: &Path, settings: ClientSettings, site: &Site) -> Vec<Finding> {
+        let stages = site.settings.stages.config();
+        doctor::controller(port, settings, &stages, self.acknowledge_fault).to_vec()
+    }
 }
+
+const BENCH_REMEDY: &str = "free /dev/shm and the ports of the machine, and try again";
+const CAMERA_REMEDY: &str = "correct camera.command in the station file: its first word is a program of this machine (flankscope-camera), then its arguments";
 
 /// Waits for the first message of the camera.
 fn camera(receiver: &mut FrameReceiver, site: &Site) -> Finding {
@@ -272,6 +287,6 @@ fn camera(receiver: &mut FrameReceiver, site: &Site) -> Finding {
     Finding::failed(
         CHECK,
         seen,
-        "look at what its process said above; plug the camera in",
+        "plug the camera in, and try it alone: flankscope-camera ... --dry-run (docs/camera.md)",
     )
 }

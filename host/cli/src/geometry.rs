@@ -6,7 +6,6 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_foundation::rigid::{Cloud as CloudFrame, Rigid, Tool};
-use flankscope_metrology::deviation::Order;
 use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::cloud::{self, Cloud};
 use flankscope_metrology::io::mesh::{self, TriMesh};
@@ -60,30 +59,6 @@ impl From<FileUnit> for Unit {
             FileUnit::M => Self::M,
             FileUnit::Um => Self::Um,
             FileUnit::Inch => Self::Inch,
-        }
-    }
-}
-
-/// Order of a Minkowski distance.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq)]
-pub enum MinkowskiOrder {
-    /// Sum of the coordinate differences.
-    #[value(name = "1")]
-    One,
-    /// Euclidean.
-    #[value(name = "2")]
-    Two,
-    /// Largest coordinate difference.
-    #[value(name = "inf")]
-    Infinity,
-}
-
-impl From<MinkowskiOrder> for Order {
-    fn from(order: MinkowskiOrder) -> Self {
-        match order {
-            MinkowskiOrder::One => Self::One,
-            MinkowskiOrder::Two => Self::Two,
-            MinkowskiOrder::Infinity => Self::Infinity,
         }
     }
 }

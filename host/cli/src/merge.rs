@@ -53,6 +53,7 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     merge::check_voxel_size(args.voxel_mm)?;
+    let format = Format::of_cloud(&args.output)?;
     let start = Instant::now();
     let mut points: Vec<[f64; 3]> = Vec::new();
     let mut coordinate = Scalar::F32;
@@ -77,9 +78,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         coordinate,
         extras: Vec::new(),
     };
-    write_file(&args.output, |out| {
-        cloud.write(Format::from_path(&args.output), out, &[])
-    })?;
+    write_file(&args.output, |out| cloud.write(format, out, &[]))?;
     args.common.write_json(&Report {
         clouds: args.clouds.len(),
         points: before,

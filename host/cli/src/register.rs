@@ -149,6 +149,7 @@ impl Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let format = args.output.as_deref().map(Format::of_cloud).transpose()?;
     let start = Instant::now();
     let Laid {
         cloud,
@@ -167,7 +168,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
 
     if found.is_registered()
-        && let Some(output) = &args.output
+        && let Some((output, format)) = args.output.as_ref().zip(format)
     {
         let points: Vec<[f64; 3]> = cloud
             .points
@@ -180,9 +181,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             coordinate: Scalar::F64,
             extras: cloud.extras,
         };
-        write_file(output, |out| {
-            laid.write(Format::from_path(output), out, &[])
-        })?;
+        write_file(output, |out| laid.write(format, out, &[]))?;
     }
     let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
     args.common.write_json(&report)?;

@@ -49,6 +49,7 @@ struct Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let format = Format::of_cloud(&args.output)?;
     let start = Instant::now();
     let Cad { mesh, .. } = args.cad.load(&args.common)?;
     let loaded = Instant::now();
@@ -56,7 +57,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .with_context(|| args.cad.trouble())?;
     let sampled = Instant::now();
     write_file(&args.output, |out| {
-        PointFile::from_points(&points).write(Format::from_path(&args.output), out)
+        PointFile::from_points(&points).write(format, out)
     })?;
     let report = Report {
         count: points.len(),

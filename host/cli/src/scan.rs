@@ -89,7 +89,7 @@ pub struct Args {
     /// Write report.html, scan.json and map.ply into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen, or as arrays for NumPy (name.npz)
+    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen, as triangles alone (name.stl), or as arrays for NumPy (name.npz)
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     /// Spacing of that mesh along the profile and the axis, from every point of every view [default: the cells of map.ply]
@@ -381,16 +381,19 @@ impl Args {
                 .as_deref()
                 .map_or(Ok(()), |folder| try_recording(folder, index))?;
         }
+        self.cloud.as_deref().map(Format::of_cloud).transpose()?;
+        self.mesh.as_deref().map(Format::of_mesh).transpose()?;
         self.cloud.as_deref().map_or(Ok(()), try_place)?;
         self.mesh.as_deref().map_or(Ok(()), try_place)
     }
 
     fn write_cloud(&self, scanning: &Scanning, scan: &Scan, path: &Path) -> anyhow::Result<()> {
+        let format = Format::of_cloud(path)?;
         let mut count = 0;
         write_file(path, |file| {
             count = scanning
                 .scanner()
-                .write_cloud(scan, Format::from_path(path), file)
+                .write_cloud(scan, format, file)
                 .map_err(std::io::Error::other)?;
             Ok(())
         })?;
@@ -398,6 +401,7 @@ impl Args {
     }
 
     fn write_mesh(&self, scanning: &Scanning, scan: &Scan, path: &Path) -> anyhow::Result<()> {
+        let format = Format::of_mesh(path)?;
         let scanner = scanning.scanner();
         let fine = self
             .mesh_mm
@@ -405,7 +409,7 @@ impl Args {
         let fine = fine.transpose()?;
         write_file(path, |file| {
             let map = fine.as_ref().unwrap_or(&scan.map);
-            scan_mesh(scan, map, Format::from_path(path), file)
+            scan_mesh(scan, map, format, file)
         })
     }
 

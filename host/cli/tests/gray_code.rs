@@ -147,8 +147,21 @@ impl Rig {
         };
         let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
         for (number, picture) in self.pictures().iter().enumerate() {
-            self.store(number, &self.frame(picture, &mut normal));
+            let counts = self.frame(picture, &mut normal);
+            self.store(number, &counts);
         }
+    }
+
+    fn counts(&self, number: usize) -> Vec<u16> {
+        let file = self.path(&format!("frames/{number:02}.png"));
+        let file = std::io::BufReader::new(std::fs::File::open(file).expect("a frame"));
+        let mut reader = png::Decoder::new(file).read_info().expect("PNG");
+        let mut bytes = vec![0; 2 * (CAMERA[0] * CAMERA[1]) as usize];
+        reader.next_frame(&mut bytes).expect("pixels");
+        let pairs = bytes.chunks_exact(2);
+        pairs
+            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+            .collect()
     }
 
     fn decode(&self) -> Output {
@@ -247,6 +260,29 @@ fn the_code_finds_the_fringe_at_every_width_of_its_stripes() {
         println!("{what}: {points} of {CELLS} points, {off} off, {rejected}");
         assert!(points >= CELLS * 95 / 100, "{what}: {points} {rejected}");
         assert!(off * 2000 <= points, "{what}: {off} of {points}");
+    }
+}
+
+/// A projector whose white is brighter than its fringes' crests: where a bit is lit the camera saturates.
+#[test]
+fn a_saturated_bit_is_lit() {
+    for complement in [false, true] {
+        let rig = Rig::new(&plan(ONE, 4, 16, complement), "");
+        rig.capture();
+        let (points, _, _) = rig.judged();
+        for number in 4..if complement { 12 } else { 8 } {
+            let mut counts = rig.counts(number);
+            for count in &mut counts {
+                *count = (100 + 2 * (*count - 100)).min(4095);
+            }
+            rig.store(number, &counts);
+        }
+        let (brighter, off, rejected) = rig.judged();
+        assert!(
+            20 * brighter >= 19 * points,
+            "{brighter} of {points}: {rejected}"
+        );
+        assert!(off * 2000 <= brighter, "{off} of {brighter}");
     }
 }
 

@@ -78,3 +78,74 @@ fn what_it_is_laid_on_is_asked_for_and_looked_at() {
         assert_refused(folder.path(), more[1], &register(more), words);
     }
 }
+
+/// A few noisy points of a nearly flat patch: the fit ends, and no direction of it is worth a pose.
+#[test]
+fn a_pose_of_which_every_direction_is_weak_is_not_registered() {
+    let folder = folder_with_clouds();
+    // As many as are needed, with a noise a quarter as large as the limits presume.
+    write_xyz(&folder.path().join("few.xyz"), &hills(4, 110, [0.0; 3]));
+    let base = [
+        "register",
+        "--reference",
+        "old.xyz",
+        "--json",
+        "-",
+        "-o",
+        "laid.ply",
+    ];
+    let few = flankscope(
+        folder.path(),
+        &[&base[..], &["--cloud", "few.xyz", "--noise-mm", "0.005"]].concat(),
+    );
+    assert_eq!(few.status.code(), Some(2), "{few:?}");
+    let report = json(&few);
+    assert_eq!(report["status"], "indeterminate");
+    assert_eq!(report["reason_code"], "unconstrained");
+    assert_eq!(report["weak_directions"].as_array().unwrap().len(), 6);
+    assert!(!folder.path().join("laid.ply").exists());
+}
+
+/// A site in metres, 30 m across, is laid on itself; read as millimetres it is told its unit.
+#[test]
+fn clouds_of_many_metres_are_read_in_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let site = |seed, count| -> Vec<[f64; 3]> {
+        let of = |[x, y, z]: [f64; 3]| [3.0 * x, 3.0 * y, 3.0 * z];
+        hills(seed, count, [0.0; 3]).into_iter().map(of).collect()
+    };
+    write_xyz(&folder.path().join("old.xyz"), &site(1, 20_000));
+    write_xyz(&folder.path().join("new.xyz"), &site(2, 10_000));
+    let base = [
+        "register",
+        "--reference",
+        "old.xyz",
+        "--cloud",
+        "new.xyz",
+        "--noise-mm",
+        "15",
+        "--json",
+        "-",
+    ];
+    let units = ["--reference-unit", "m", "--cloud-unit", "m"];
+    let output = flankscope(folder.path(), &[&base[..], &units].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report = json(&output);
+    // Noise of 15 mm over the root of ten thousand points, and the curvature that planes through neighbours cut off.
+    for row in 0..3 {
+        let mm = report["tool_from_cloud"][row][3].as_f64().unwrap();
+        assert!(mm.abs() < 30.0, "{mm}");
+    }
+    let far = site(3, 200).into_iter().map(|p| p.map(|c| 1e3 * c));
+    write_xyz(&folder.path().join("far.xyz"), &far.collect::<Vec<_>>());
+    let output = flankscope(
+        folder.path(),
+        &[&base[..3], &["--cloud", "far.xyz"]].concat(),
+    );
+    assert_refused(
+        folder.path(),
+        "far.xyz",
+        &output,
+        &["far.xyz", "10000 mm", "--cloud-unit", "1 km"],
+    );
+}

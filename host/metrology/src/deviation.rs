@@ -18,18 +18,89 @@ pub fn deviations(surface: &Surface, points: &[[f64; 3]]) -> Vec<f64> {
     deviations_mm
 }
 
-/// Order of the Minkowski distance between points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+/// Order of the Minkowski distance between points: `1` and more, or `inf`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum Order {
     /// Sum of the sizes of the coordinate differences.
-    #[serde(rename = "1")]
     One,
     /// Euclidean.
-    #[serde(rename = "2")]
     Two,
     /// Largest coordinate difference.
-    #[serde(rename = "inf")]
     Infinity,
+    /// Another, above 1: the p-th root of the sum of p-th powers.
+    Other(f64),
+}
+
+/// No order of a distance.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[error("{text:?} is no order of a Minkowski distance; right would be a number from 1 on, or inf")]
+pub struct OrderError {
+    /// What was given.
+    pub text: String,
+}
+
+impl TryFrom<f64> for Order {
+    type Error = OrderError;
+
+    fn try_from(order: f64) -> Result<Self, OrderError> {
+        match order {
+            1.0 => Ok(Self::One),
+            2.0 => Ok(Self::Two),
+            f64::INFINITY => Ok(Self::Infinity),
+            order if order > 1.0 => Ok(Self::Other(order)),
+            order => Err(OrderError {
+                text: order.to_string(),
+            }),
+        }
+    }
+}
+
+impl std::str::FromStr for Order {
+    type Err = OrderError;
+
+    fn from_str(text: &str) -> Result<Self, OrderError> {
+        let order: f64 = text.trim().parse().map_err(|_| OrderError {
+            text: text.to_owned(),
+        })?;
+        Self::try_from(order)
+    }
+}
+
+impl TryFrom<String> for Order {
+    type Error = OrderError;
+
+    fn try_from(text: String) -> Result<Self, OrderError> {
+        text.parse()
+    }
+}
+
+impl From<Order> for String {
+    fn from(order: Order) -> Self {
+        order.to_string()
+    }
+}
+
+impl std::fmt::Display for Order {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::One => f.write_str("1"),
+            Self::Two => f.write_str("2"),
+            Self::Infinity => f.write_str("inf"),
+            Self::Other(order) => write!(f, "{order}"),
+        }
+    }
+}
+
+/// `(sum |a - b|^p)^(1/p)`, scaled by the largest difference so that no power overflows.
+fn minkowski(a: &[f64; 3], b: &[f64; 3], order: f64) -> f64 {
+    let off = [0, 1, 2].map(|k| (a[k] - b[k]).abs());
+    let largest = off.into_iter().fold(0.0, f64::max);
+    if largest == 0.0 {
+        return 0.0;
+    }
+    let sum: f64 = off.iter().map(|d| (d / largest).powf(order)).sum();
+    largest * sum.powf(order.recip())
 }
 
 /// No tree can be built over the points.
@@ -44,7 +115,10 @@ pub struct SampleTreeError {
 
 /// Random surface points as reference, as in the article: the distance to the nearest of them has no sign and, even for a
 /// perfect part, a mean of about half their spacing.
-pub struct SampleTree(ImmutableKdTree<f64, 3>);
+pub struct SampleTree {
+    tree: ImmutableKdTree<f64, 3>,
+    points: Vec<[f64; 3]>,
+}
 
 impl SampleTree {
     /// Builds the tree over finite points, mm.
@@ -60,14 +134,17 @@ impl SampleTree {
             return Err(error);
         }
         ImmutableKdTree::new_from_slice(points)
-            .map(Self)
+            .map(|tree| Self {
+                tree,
+                points: points.to_vec(),
+            })
             .map_err(|_| error)
     }
 
     /// Distance of every point (finite, mm) to the nearest reference point, mm, in order.
     pub fn distances(&self, points: &[[f64; 3]], order: Order) -> Vec<f64> {
         let nearest = |point: &[f64; 3]| {
-            let query = self.0.query(point);
+            let query = self.tree.query(point);
             match order {
                 Order::One => query.nearest_one::<Manhattan<f64>>().execute().distance,
                 Order::Two => query
@@ -76,15 +153,33 @@ impl SampleTree {
                     .distance
                     .sqrt(),
                 Order::Infinity => query.nearest_one::<Chebyshev<f64>>().execute().distance,
+                Order::Other(order) => self.nearest_by(point, order),
             }
         };
         points.par_iter().with_min_len(1024).map(nearest).collect()
     }
 
+    /// Distance of an order between the tree's own. No order's distance is less than the largest difference, and none from 1 on is
+    /// more than the sum: the nearest lies within the cube of the Euclidean nearest one's distance.
+    fn nearest_by(&self, point: &[f64; 3], order: f64) -> f64 {
+        let (first, _) = self.nearest(point);
+        let most = minkowski(point, &self.points[first], order);
+        // A hair more, for rounding; what lies on the rim is no nearer.
+        let within = self
+            .tree
+            .query(point)
+            .within::<Chebyshev<f64>>(most * (1.0 + 1e-12))
+            .execute();
+        within
+            .into_iter()
+            .map(|found| minkowski(point, &self.points[found.item as usize], order))
+            .fold(most, f64::min)
+    }
+
     /// Number of the nearest reference point (Euclidean) and its squared distance, mm2.
     pub(crate) fn nearest(&self, point: &[f64; 3]) -> (usize, f64) {
         let found = self
-            .0
+            .tree
             .query(point)
             .nearest_one::<SquaredEuclidean<f64>>()
             .execute();
@@ -157,7 +252,11 @@ mod tests {
         let samples: Vec<_> = (0..2000).map(|i| draw(1, i)).collect();
         let points: Vec<_> = (0..500).map(|i| draw(2, i)).collect();
         let tree = SampleTree::new(&samples).unwrap();
-        for order in [Order::One, Order::Two, Order::Infinity] {
+        let orders = [Order::Other(1.2), Order::Other(3.0), Order::Other(60.0)];
+        for order in [Order::One, Order::Two, Order::Infinity]
+            .into_iter()
+            .chain(orders)
+        {
             let found = tree.distances(&points, order);
             for (p, distance) in points.iter().zip(found) {
                 let expected = samples
@@ -168,6 +267,9 @@ mod tests {
                             Order::One => d[0] + d[1] + d[2],
                             Order::Two => (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt(),
                             Order::Infinity => d[0].max(d[1]).max(d[2]),
+                            Order::Other(p) => {
+                                (d[0].powf(p) + d[1].powf(p) + d[2].powf(p)).powf(1.0 / p)
+                            }
                         }
                     })
                     .fold(f64::INFINITY, f64::min);
@@ -175,6 +277,22 @@ mod tests {
             }
         }
         assert!(SampleTree::new(&[]).is_err());
+    }
+
+    #[test]
+    fn orders_are_numbers_from_one_on() {
+        for (text, order) in [
+            ("1", Order::One),
+            ("2.0", Order::Two),
+            ("inf", Order::Infinity),
+            ("1.5", Order::Other(1.5)),
+        ] {
+            assert_eq!(text.parse(), Ok(order));
+            assert_eq!(order.to_string().parse(), Ok(order));
+        }
+        for text in ["0.5", "0", "-1", "nan", "two", "-inf"] {
+            assert!(text.parse::<Order>().is_err(), "{text}");
+        }
     }
 
     #[test]

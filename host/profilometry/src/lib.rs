@@ -13,6 +13,7 @@
 //!  triangulate  camera ray and projector column to a depth
 //!  cloud        points, and why other cells gave none
 //!  decode       the whole way, made once per head: sums of a view to a cloud (mm, camera frame, sigma_z per point)
+//!  frame_order  whether frames come in the order that their plan says
 //!  plan         external captures: which image shows which frame
 //!  calibrate    captures of a target to a head, and the head's self-test
 //! ```
@@ -49,6 +50,7 @@ pub mod cells;
 pub mod cloud;
 pub mod decode;
 pub mod frame;
+pub mod frame_order;
 pub mod gray;
 pub mod head;
 pub mod io;

@@ -174,9 +174,10 @@ const TOLD_APART_RAD: f64 = 0.5;
 
 /// Number of neighbouring orders of the finest frequency that a set distinguishes, the finest last in `periods`.
 ///
-/// It ends at the first order that could be exchanged with the present one by noise that does not exchange neighbours, or by 0.05 rad
-/// in every phase. A single frequency distinguishes none; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
-/// with 41, 45 and 48 all 48, with 41 and 48 only 7.
+/// With a frequency of at most one period it is all of them: each column has a phase of its own there, and how well it is told
+/// is each cell's [`Decision::separation`]. Else it ends at the first order that could be exchanged with the present one by noise
+/// that does not exchange neighbours, or by 0.05 rad in every phase. A single frequency distinguishes none; with 1 and 16 periods
+/// it is all 16, with 4 and 48 it is 12, with 41, 45 and 48 all 48, with 41 and 48 only 7.
 pub fn distinct_orders(periods: &[f64]) -> usize {
     let Some(finest) = periods.last() else {
         return 1;
@@ -184,6 +185,9 @@ pub fn distinct_orders(periods: &[f64]) -> usize {
     let apart = |orders: usize| apart_rad(periods, orders as f64);
     // The sum cannot tell more than the projector holds.
     let most = finest.ceil().max(1.0) as usize;
+    if periods.iter().any(|&periods| periods <= 1.0) {
+        return most;
+    }
     let needed = TOLD_APART_RAD.min(apart(1) * (1.0 - 1e-9));
     (1..most)
         .find(|&n| !(apart(n) > 0.0 && apart(n) >= needed))
@@ -344,6 +348,8 @@ mod tests {
             (&[16.0][..], 1),
             (&[1.0, 16.0], 16),
             (&[1.0, 64.0], 64),
+            (&[1.0, 16.0, 128.0], 128),
+            (&[1.0, 12.5], 13),
             (&[4.0, 48.0], 12),
             (&[4.1, 48.0], 11),
             (&[4.0, 13.0, 48.0], 48),

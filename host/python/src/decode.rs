@@ -174,7 +174,7 @@ impl Decoder {
             max_sigma_z_mm,
             consistency: match frame_consistency {
                 None => defaults.consistency,
-                Some(least) => ConsistencyOptions::for_images(least),
+                Some(least) => Some(ConsistencyOptions::for_images(least)),
             },
             patches: match min_patch_cells {
                 None => defaults.patches,

@@ -160,16 +160,7 @@ pub fn nearest(
     reference_mm: &Bound<'_, PyAny>,
     order: f64,
 ) -> PyResult<Py<PyArray1<f64>>> {
-    let order = match order {
-        1.0 => Order::One,
-        2.0 => Order::Two,
-        f64::INFINITY => Order::Infinity,
-        other => {
-            return Err(GeometryError::new_err(format!(
-                "order {other}: 1, 2 or infinity is needed"
-            )));
-        }
-    };
+    let order = Order::try_from(order).map_err(geometry)?;
     let points_given = points("points_mm", points_mm)?;
     let reference = points("reference_mm", reference_mm)?;
     let (rows, reference) = (points_given.rows(), reference.rows());

@@ -107,7 +107,7 @@ pub fn commands() -> Vec<Command> {
         Command::AcknowledgeFault => Command::AcknowledgeFault,
         Command::ShowVerdict { .. } => Command::ShowVerdict { go: true },
         Command::ConfigureStage { .. } =>
-            Command::ConfigureStage { version: stage::STAGE_CONFIG_VERSION, stage: StageConfig::DEFAULT },
+            Command::ConfigureStage { version: stage::STAGE_CONFIG_VERSION, stage: stage_config() },
         Command::IdentifyStages => Command::IdentifyStages,
     );
     all.extend(
@@ -265,9 +265,16 @@ fn name(text: &str) -> StageName {
     StageName::of(text.as_bytes()).expect("printable")
 }
 
+/// With the line that the golden bytes were written with: another default is no other layout.
+fn stage_config() -> StageConfig {
+    let mut stage = StageConfig::DEFAULT;
+    stage.line.baud = 115_200;
+    stage
+}
+
 /// The stages with every way of homing, and with their models.
 fn stages() -> Vec<StageConfig> {
-    let mut stage = StageConfig::DEFAULT;
+    let mut stage = stage_config();
     let ways = each!(HomeAt:
         HomeAt::SwitchAndIndex => HomeAt::SwitchAndIndex,
         HomeAt::Switch => HomeAt::Switch,
@@ -316,7 +323,10 @@ fn identity(boot: Boot) -> Identity {
         protocol: 1,
         schema: 0x1234_5678,
         firmware: [0, 1, 0],
-        limits: Limits::DEFAULT,
+        limits: Limits {
+            stage_baud_min: 1_200,
+            ..Limits::DEFAULT
+        },
         host_silence: Microseconds(100_000),
         verdict_life: Microseconds(5_000_000),
         boot,

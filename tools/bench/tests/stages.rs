@@ -90,7 +90,7 @@ fn nothing_moves_before_stages_were_accepted_in_this_session() {
 fn every_number_beyond_its_limit_is_refused_and_nothing_moves() {
     type Change = fn(&mut StageConfig);
     let changes: [(StageValue, Change); 19] = [
-        (StageValue::Baud, |s| s.line.baud = 1_199),
+        (StageValue::Baud, |s| s.line.baud = 19_199),
         (StageValue::Baud, |s| s.line.baud = u32::MAX),
         (StageValue::RotationNumber, |s| s.rotation.number = 0),
         (StageValue::RotationSpeed, |s| s.rotation.speed.0 = u32::MAX),

@@ -44,7 +44,7 @@ pub fn missing(root: &Path) -> Vec<Missing> {
         missing.push(Missing {
             what: "the check through the controller's Cortex-M image",
             needs: "qemu-system-arm and the image",
-            how: "apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
+            how: "apt-get update && apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }
     if !BROWSERS.iter().any(|name| firmware::is_on_path(name)) {

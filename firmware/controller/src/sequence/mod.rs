@@ -4,7 +4,7 @@
 //! Unhomed ─► Homing ─► Ready ─► (Claiming) ─► Moving ─► Settling ─► (Cooling) ─► Lighting ─┐
 //!              ▲         ▲        ▲                   ┌─ next projector ─►   ▼
 //!              │         │        └── next view ── Darkening ◄── Capturing, per frame:
-//!              │         │                             │            select ► trigger DMD ► ready ► settle
+//!              │         │                             │            select ► loaded ► trigger DMD ► ready ► settle
 //!              │         └──────── Retracting ◄────────┘            ► earliest start ► camera ready
 //!              │                    │    ▲ abort, retract,          ► expose ► exposure over
 //!              └── Unhomed ◄── Faulted   └ any fault: from every state, LED off first
@@ -43,6 +43,9 @@ use signals::push;
 
 /// Patience with the stages' answers to what they are: each is given up within 0.4 s.
 const IDENTITY_TIMEOUT: Microseconds = Microseconds::from_millis(1_500);
+
+/// Between two questions whether a pattern is loaded: a hundredth of the 200 ms that its maker names for an image in flash.
+const LOADING_POLL: Microseconds = Microseconds::from_millis(2);
 
 /// Between two tries of a retract.
 const RETRACT_PAUSE: Microseconds = Microseconds::from_millis(50);
@@ -96,6 +99,11 @@ enum Step {
     Lighting,
     /// A pattern selection is on the bus.
     Selecting {
+        until: Timestamp,
+    },
+    /// The selected pattern is fetched from the DMD's flash; a trigger would be missed. It is asked again at `ask`.
+    Loading {
+        ask: Timestamp,
         until: Timestamp,
     },
     /// DMD triggered, waiting for ready.
@@ -271,6 +279,7 @@ impl Sequence {
             Step::Cooling { .. } => State::Cooling,
             Step::Lighting => State::Lighting,
             Step::Selecting { .. }
+            | Step::Loading { .. }
             | Step::Switching { .. }
             | Step::Standing { .. }
             | Step::Holding { .. }
@@ -358,6 +367,7 @@ impl Sequence {
             Step::Exposing { end, begin_by } => {
                 Some(begin_by.map_or(end, |begin_by| end.min(begin_by)))
             }
+            Step::Loading { ask, until } => Some(ask.min(until)),
             Step::Identifying { until }
             | Step::Homing { until }
             | Step::Claiming { until }
@@ -413,6 +423,7 @@ impl Sequence {
             Input::InPosition { .. } | Input::StageFailed { .. } | Input::StagesAre { .. } => {}
             Input::LedSense(projector, level) => self.led_sense(now, projector, level, out),
             Input::PatternSelected(taken) => self.pattern_selected(now, taken, out),
+            Input::PatternLoaded(loaded) => self.pattern_loaded(now, loaded, out),
             Input::DmdReady => self.dmd_ready(now, out),
             Input::CameraReady => self.camera_ready(now, out),
             Input::CameraExposing(level) => self.camera_exposing(now, level, out),
@@ -458,8 +469,12 @@ impl Sequence {
             Step::Settling { until } if now >= until => self.settled(now, out),
             Step::Checking { until } if now >= until => self.fail(now, Fault::LensSilent, 0, out),
             Step::Cooling { until } if now >= until => self.light(now, out),
-            Step::Selecting { until } if now >= until => {
+            Step::Selecting { until } | Step::Loading { until, .. } if now >= until => {
                 self.fail(now, Fault::DmdSelect, self.shows().detail(), out);
+            }
+            Step::Loading { ask, until } if now >= ask => {
+                self.step = Step::Loading { ask: until, until };
+                push(out, Action::AskPattern(self.shows()));
             }
             Step::Switching { until } if now >= until => {
                 self.fail(now, Fault::DmdNotReady, self.shows().detail(), out);

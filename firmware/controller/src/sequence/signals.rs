@@ -55,6 +55,8 @@ pub enum Input {
     LedSense(Projector, bool),
     /// The DMD took the pattern selection, or did not.
     PatternSelected(bool),
+    /// Whether the selected pattern can be triggered yet; `None`: the DMD does not say.
+    PatternLoaded(Option<bool>),
     /// The DMD awaited says that the selected pattern stands.
     DmdReady,
     /// The camera can be triggered.
@@ -108,6 +110,8 @@ pub enum Action {
     LedOff,
     /// Select a projector's pattern; answer with [`Input::PatternSelected`] before anything else.
     SelectPattern(Projector, u16),
+    /// Ask a projector's DMD whether it has loaded the selected pattern; answer with [`Input::PatternLoaded`] before anything else.
+    AskPattern(Projector),
     /// Give the lens its voltage; answer with [`Input::Lens`] before anything else.
     SetLens(LensCounts),
     /// Make sure that the lens has it still; answer with [`Input::Lens`] before anything else.

@@ -71,6 +71,9 @@ struct World {
     leds: [Led; 2],
     ready_at: Option<Timestamp>,
     dmd_switch_us: u32,
+    /// Questions for which the DMD fetches a selected pattern, and those that are left.
+    pattern_takes: u32,
+    pattern_loads: u32,
     exposing: bool,
     exposing_flips_at: Timestamp,
     motion: Option<(Timestamp, u16, View)>,
@@ -116,6 +119,8 @@ impl Rig {
             }; 2],
             ready_at: None,
             dmd_switch_us: DMD_SWITCH_US,
+            pattern_takes: 0,
+            pattern_loads: 0,
             exposing: false,
             exposing_flips_at: Timestamp(0),
             motion: None,
@@ -175,7 +180,7 @@ impl Rig {
 
     fn perform(&mut self, actions: Actions) {
         assert!(actions.len() < MAX_ACTIONS, "no room left: {actions:?}");
-        let (mut selected, mut asked, mut identified) = (false, false, None);
+        let (mut selected, mut loading, mut asked, mut identified) = (false, false, false, None);
         for action in actions {
             self.log.push((self.now, action));
             let world = &mut self.world;
@@ -201,7 +206,9 @@ impl Rig {
                     assert!(world.leds[projector as usize].on, "selected in the dark");
                     (world.ready_at, selected) = (None, true);
                 }
+                Action::AskPattern(_) => loading = true,
                 Action::DmdTrigger(Some(projector)) => {
+                    assert!(world.pattern_loads == 0, "triggered before it was loaded");
                     assert!(world.leds[projector as usize].on, "shown in the dark");
                     world.ready_at = Some(self.now.after(Microseconds(world.dmd_switch_us)))
                 }
@@ -246,7 +253,13 @@ impl Rig {
             }
         }
         if selected && !self.world.frozen {
+            self.world.pattern_loads = self.world.pattern_takes;
             self.input(Input::PatternSelected(true));
+        }
+        if loading && !self.world.frozen {
+            let loads = self.world.pattern_loads;
+            self.world.pattern_loads = loads.saturating_sub(1);
+            self.input(Input::PatternLoaded(Some(loads == 0)));
         }
         if let Some(ticket) = identified
             && !self.world.frozen
@@ -459,6 +472,36 @@ fn states_follow_each_other_as_drawn() {
     ]
     .concat();
     assert_eq!(states, expected);
+}
+
+/// The DMD fetches every pattern for a while: its trigger waits for that, and no longer than the plan says.
+#[test]
+fn a_pattern_is_triggered_once_it_is_loaded() {
+    let mut rig = Rig::started(config(), plan());
+    rig.world.pattern_takes = 3;
+    rig.run();
+    assert_eq!((rig.faults(), rig.sequence.state()), (vec![], State::Ready));
+    let mut selected = None;
+    let mut triggered = 0;
+    for (at, action) in &rig.log {
+        match action {
+            Action::SelectPattern(..) => selected = Some(*at),
+            Action::DmdTrigger(Some(_)) => {
+                let waited_us = at.since_us(selected.expect("a pattern"));
+                // Three questions are answered with no, each a pause apart.
+                assert_eq!(waited_us, 3 * u64::from(LOADING_POLL.get()));
+                triggered += 1;
+            }
+            _ => {}
+        }
+    }
+    assert!(triggered > 0);
+    let mut rig = Rig::started(config(), plan());
+    rig.world.pattern_takes = u32::MAX;
+    rig.run();
+    assert_eq!(rig.sequence.fault(), Some(Fault::DmdSelect));
+    let lit = |action: &Action| matches!(action, Action::DmdTrigger(Some(_)));
+    assert!(!rig.log.iter().any(|(_, action)| lit(action)));
 }
 
 #[test]

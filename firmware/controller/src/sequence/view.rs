@@ -1,7 +1,7 @@
 //! One view: move, settle, and for each projector light, its frames, darken.
 
 use super::signals::{Action, Actions, push};
-use super::{Dark, Sequence, Step, Then};
+use super::{Dark, LOADING_POLL, Sequence, Step, Then};
 use crate::lens::LensFault;
 use flankscope_protocol::{
     Event, Fault, Focus, FrameSpec, Microseconds, Projector, Timestamp, Trigger, View, Why,
@@ -142,10 +142,36 @@ impl Sequence {
         };
         match self.plan.as_ref().map(|plan| plan.timeouts.dmd) {
             Some(timeout) if taken => {
+                let until = now.after(timeout);
+                self.step = Step::Loading { ask: until, until };
+                push(out, Action::AskPattern(self.shows()));
+            }
+            _ => self.fail(now, Fault::DmdSelect, self.shows().detail(), out),
+        }
+    }
+
+    /// Triggers the pattern once the DMD has it: an edge that comes before is missed.
+    pub(super) fn pattern_loaded(
+        &mut self,
+        now: Timestamp,
+        loaded: Option<bool>,
+        out: &mut Actions,
+    ) {
+        let Step::Loading { until, .. } = self.step else {
+            return;
+        };
+        match (loaded, self.plan.as_ref().map(|plan| plan.timeouts.dmd)) {
+            (Some(true), Some(timeout)) => {
                 self.dmd_at = now;
                 push(out, Action::DmdTrigger(Some(self.shows())));
                 self.step = Step::Switching {
                     until: now.after(timeout),
+                };
+            }
+            (Some(false), _) => {
+                self.step = Step::Loading {
+                    ask: now.after(LOADING_POLL),
+                    until,
                 };
             }
             _ => self.fail(now, Fault::DmdSelect, self.shows().detail(), out),

@@ -29,6 +29,14 @@ use flankscope_protocol::{
 
 /// What a stop is sent at before anybody has said how the line is set: after a reset something may still move.
 const USUAL_BAUDS: [u32; 7] = [9_600, 19_200, 38_400, 57_600, 115_200, 460_800, 921_600];
+/// Longest exchange of [`Stage::standing`] with stages that stand, questions and answers: `1MD?` and `1`, `TB?` and an error without a
+/// name, `1TP?` and `-123.456789`, line ends included.
+const WATCH_BYTES: u64 = 2 * (5 + 3) + (4 + 31) + 2 * (5 + 13);
+/// Its answers, and the time that each is given beside that on the wire.
+const WATCH_ANSWERS: u64 = 5;
+const ANSWER_US: u64 = 5_000;
+/// Least patience: on a fast line a pause of the controller is no reason to leave the die.
+const LEAST_WATCH: Duration = Duration::from_millis(60);
 /// The controller answers questions within a few milliseconds even while it moves.
 const REPLY_TIMEOUT: Duration = Duration::from_millis(200);
 /// Longer than the controller ever pauses within or before an answer it is late with.
@@ -100,6 +108,8 @@ impl Axes {
 #[derive(Debug)]
 pub struct Esp301<P> {
     port: P,
+    /// As it was set last.
+    line: Serial,
     /// None before the first reference run.
     axes: Option<Axes>,
     homing: Homing,
@@ -112,9 +122,18 @@ impl<P: StagePort> Esp301<P> {
     pub const fn new(port: P) -> Self {
         Self {
             port,
+            line: StageConfig::DEFAULT.line,
             axes: None,
             homing: Homing::No,
             out_of_step: false,
+        }
+    }
+
+    fn set_line(&mut self, line: &Serial) -> Result<(), StageFault> {
+        self.line = *line;
+        match self.port.set_line(line) {
+            true => Ok(()),
+            false => Err(nonsense()),
         }
     }
 
@@ -236,9 +255,7 @@ impl<P: StagePort> Esp301<P> {
 
     /// Line, motors on, dynamics, search for home and what it stands for.
     async fn prepare(&mut self, stage: &StageConfig) -> Result<Axes, StageFault> {
-        if !self.port.set_line(&stage.line) {
-            return Err(nonsense());
-        }
+        self.set_line(&stage.line)?;
         self.forget_errors().await?;
         let axes = Axes::of(stage);
         for axis in [&axes.rotation, &axes.vertical] {
@@ -382,10 +399,13 @@ impl<P: StagePort> Stage for Esp301<P> {
         Ok(Some(Pose { rotation, vertical }))
     }
 
+    fn watch_limit(&self) -> Duration {
+        let wire_us = (WATCH_BYTES * self.line.byte_ns()).div_ceil(1_000);
+        LEAST_WATCH.max(Duration::from_micros(wire_us + WATCH_ANSWERS * ANSWER_US))
+    }
+
     async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault> {
-        if !self.port.set_line(&stage.line) {
-            return Err(nonsense());
-        }
+        self.set_line(&stage.line)?;
         Ok([
             self.name(digit(stage.rotation.number)).await?,
             self.name(digit(stage.vertical.number)).await?,

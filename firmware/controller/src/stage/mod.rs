@@ -7,6 +7,7 @@ pub mod esp301;
 
 use crate::sequence::Input;
 pub use crate::stage_fault::StageFault;
+use embassy_time::Duration;
 use embedded_io_async::{Read, Write};
 use flankscope_protocol::{Fault, Line, Micrometres, Microradians, StageConfig, StageName, View};
 
@@ -137,6 +138,8 @@ pub trait Stage {
     async fn start(&mut self, request: StageRequest) -> Result<(), StageFault>;
     /// Where the stages stand, or `None` while they move.
     async fn standing(&mut self) -> Result<Option<Pose>, StageFault>;
+    /// Patience with [`Stage::standing`] at a view.
+    fn watch_limit(&self) -> Duration;
     /// What the stages of this line and these axes say they are, rotation and vertical; nothing moves.
     async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault>;
 }

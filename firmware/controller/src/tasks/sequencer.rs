@@ -12,7 +12,6 @@ use crate::stage::StageRequest;
 use core::sync::atomic::Ordering;
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
-use flankscope_protocol::message::Boot;
 use flankscope_protocol::{Event, Fault, Timestamp};
 
 /// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
@@ -45,10 +44,8 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, N: Lens, P: Press>(
     mail: &Mailboxes,
 ) -> ! {
     let mut unreported = 0u32;
-    if handler.boot() != Boot::PowerUp {
-        // What was set off before the reset may still be under way.
-        let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
-    }
+    // Whatever the reset's cause is said to be: what was set off before it may still be under way.
+    let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
     handler.sequence.begin(now());
     handler.projectors_fitted = optics.projectors();
     // Off, too, is a lens that kept its voltage over a reset.
@@ -171,6 +168,11 @@ async fn perform<L: Led, D: Dmd, C: Camera, N: Lens>(
                     let selection = optics.select(projector, pattern);
                     let taken = with_timeout(SELECT_TIMEOUT, selection).await;
                     follow_up = Some(Input::PatternSelected(matches!(taken, Ok(Ok(())))));
+                }
+                Action::AskPattern(projector) => {
+                    let asked = with_timeout(SELECT_TIMEOUT, optics.is_loaded(projector)).await;
+                    let loaded = asked.ok().and_then(Result::ok);
+                    follow_up = Some(Input::PatternLoaded(loaded));
                 }
                 Action::SetLens(counts) => {
                     follow_up = Some(in_time(optics.lens.set(counts)).await);

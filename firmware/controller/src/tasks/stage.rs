@@ -12,13 +12,11 @@ use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer, with_timeout};
 use flankscope_protocol::Fault;
 
-/// How often the stages are asked whether they stand. At 115200 baud a question with its answer takes about 1 ms.
+/// How often the stages are asked whether they stand. At 19200 baud a question with its answer takes 4 ms of the wire.
 const POLL: Duration = Duration::from_millis(5);
-/// How often they are asked whether they still stand at a view. With [`WATCH_TIMEOUT`] and the time to light off and
-/// retract, a lost position is seen well within 0.1 s.
+/// How often they are asked whether they still stand at a view. With [`Stage::watch_limit`], 71 ms at the slowest line allowed, and the
+/// time to light off and retract, a lost position is seen within 0.1 s.
 const WATCH: Duration = Duration::from_millis(25);
-/// Patience with the answer to that. Standing stages answer all of it within 10 ms.
-const WATCH_TIMEOUT: Duration = Duration::from_millis(60);
 
 /// Serves the sequence's requests for ever.
 pub async fn serve_stage(mut stage: impl Stage, mail: &Mailboxes) -> ! {
@@ -93,8 +91,9 @@ async fn next_request(
         if let Ok(request) = with_timeout(WATCH, mail.stage_requests.receive()).await {
             return request;
         }
+        let limit = stage.watch_limit();
         let mut asking = pin!(stage.standing());
-        let answer = with_timeout(WATCH_TIMEOUT, asking.as_mut()).await;
+        let answer = with_timeout(limit, asking.as_mut()).await;
         let outcome = match answer {
             Ok(Ok(Some(pose))) => Ok(pose),
             Ok(Ok(None)) => fault(Fault::OffPosition),

@@ -85,6 +85,8 @@ pub struct Aravis {
     settings: Settings,
     open: Option<Open>,
     status: Status,
+    /// It was found before, and did not run freely.
+    known: bool,
 }
 
 /// What is open of it.
@@ -114,6 +116,7 @@ impl Aravis {
             settings,
             open: None,
             status: Status::default(),
+            known: false,
         }
     }
 
@@ -345,8 +348,12 @@ impl Backend for Aravis {
             counting,
             packets_before: 0,
         };
-        open.start(QUIET_AT_FIRST)?;
-        open.camera.stop_acquisition().map_err(gone)?;
+        // One that comes back in the middle of a check is triggered still: frames say nothing of it then. The arming asks again.
+        if !self.known {
+            open.start(QUIET_AT_FIRST)?;
+            open.camera.stop_acquisition().map_err(gone)?;
+        }
+        self.known = true;
         self.open = Some(open);
         Ok(description)
     }

@@ -158,6 +158,7 @@ impl Program {
             retract: Micrometres((self.retract_mm * 1e3).round() as i32),
             timeouts: Timeouts {
                 motion: Timeouts::default().motion.max(self.stage.motion_timeout()),
+                dmd: Microseconds(Timeouts::default().dmd.get() + 1_000 * timing.pattern_load_ms),
                 ..Timeouts::default()
             },
             focus: self.lens.map(|lens| Focus {

@@ -65,6 +65,16 @@ pub enum ClientError {
         /// Longest wait for an answer, ms.
         waited_ms: u128,
     },
+    /// Bytes came, but no answer.
+    #[error(
+        "bytes come from the port, but no answer: {damaged} damaged messages in {waited_ms} ms (another speed, another device, or noise on the line?)"
+    )]
+    Noise {
+        /// Messages that could not be read.
+        damaged: u64,
+        /// Longest wait for an answer, ms.
+        waited_ms: u128,
+    },
     /// The controller refused the command.
     #[error("the controller refuses: {0}")]
     Refused(#[from] Refusal),
@@ -128,6 +138,8 @@ pub struct Client {
     unheard: Duration,
     /// Frames that could not be decoded.
     dropped: u64,
+    /// Of those, since the last answer.
+    dropped_unheard: u64,
 }
 
 impl Client {
@@ -162,6 +174,7 @@ impl Client {
             last_event: 0,
             unheard: Duration::ZERO,
             dropped: 0,
+            dropped_unheard: 0,
         };
         let hello = Command::Hello {
             protocol: PROTOCOL_VERSION,
@@ -361,8 +374,10 @@ impl Client {
     }
 
     fn silent(&self) -> ClientError {
-        ClientError::Silent {
-            waited_ms: self.settings.unanswered.as_millis(),
+        let waited_ms = self.settings.unanswered.as_millis();
+        match self.dropped_unheard {
+            0 => ClientError::Silent { waited_ms },
+            damaged => ClientError::Noise { damaged, waited_ms },
         }
     }
 
@@ -379,6 +394,7 @@ impl Client {
         match incoming {
             Incoming::Reply(header, reply) if header.session == self.session => {
                 self.unheard = Duration::ZERO;
+                self.dropped_unheard = 0;
                 // It names the event before it. Of an earlier answer that came twice, that is an earlier event.
                 match header.sequence.wrapping_sub(self.last_event) {
                     0 | BEHIND.. => {}
@@ -394,6 +410,7 @@ impl Client {
             Incoming::Reply(..) => {}
             Incoming::Event(header, event) if header.session == self.session => {
                 self.unheard = Duration::ZERO;
+                self.dropped_unheard = 0;
                 let (sequence, last) = (header.sequence, self.last_event);
                 match sequence.wrapping_sub(last).wrapping_sub(1) {
                     0 => {}
@@ -406,6 +423,7 @@ impl Client {
             Incoming::Event(..) => {}
             Incoming::Dropped(reason) => {
                 self.dropped += 1;
+                self.dropped_unheard += 1;
                 tracing::warn!(%reason, "dropped a damaged frame");
             }
             Incoming::Gone(reason) => return Err(LinkError::Gone { reason }.into()),

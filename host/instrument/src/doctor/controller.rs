@@ -50,7 +50,10 @@ pub fn controller(
             press(&answer.status),
         ],
         Err(error) => {
-            let [stages, press] = unasked("the controller does not answer");
+            let [stages, press] = unasked(match error {
+                ClientError::Link(_) => "there is no link to the controller",
+                _ => "the controller does not answer",
+            });
             [
                 Finding::failed(CHECK, error.to_string(), remedy(&error)),
                 stages,
@@ -120,6 +123,10 @@ fn remedy(error: &ClientError) -> String {
         },
         ClientError::Silent { .. } => format!(
             "flash the board (firmware/README.md), and see that its line is {}",
+            Line::HOST
+        ),
+        ClientError::Noise { .. } => format!(
+            "see that this is the controller's port and that its line is {}; look at cable, ground and what runs beside it",
             Line::HOST
         ),
         ClientError::Version { .. } => "install host and firmware of one release".into(),
@@ -331,5 +338,47 @@ fn press(status: &Status) -> Finding {
             "another program may be measuring: let it end",
         )
         .with(figures)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::time::Duration;
+
+    use serialport::{SerialPort, TTYPort};
+
+    use super::*;
+
+    /// A line on which bytes come that are no messages is not silent, and is said to be what it is.
+    #[test]
+    fn noise_is_told_from_silence() {
+        for (noisy, words) in [(true, "damaged messages"), (false, "answers nothing")] {
+            let (mut far, near) = TTYPort::pair().unwrap();
+            let port = near.name().unwrap();
+            // It would hold the port's lock.
+            drop(near);
+            let talker = std::thread::spawn(move || {
+                let mut state = 9u32;
+                for _ in 0..200 {
+                    let mut noise = [0; 64];
+                    for byte in &mut noise {
+                        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                        *byte = (state >> 24) as u8;
+                    }
+                    if noisy && far.write_all(&noise).is_err() {
+                        break;
+                    }
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+            });
+            let settings = ClientSettings {
+                answer: Duration::from_millis(50),
+                ..ClientSettings::default()
+            };
+            let [found, ..] = controller(Path::new(&port), settings, &StageConfig::DEFAULT, false);
+            assert!(found.seen.contains(words), "{}", found.seen);
+            talker.join().unwrap();
+        }
     }
 }

@@ -99,6 +99,8 @@ pub struct Light {
 pub struct Timing {
     /// From reaching the position to switching the light on, ms.
     pub settle_ms: u32,
+    /// Longest that the DMD's controller fetches an image from its flash, ms; the controller waits for it before it triggers.
+    pub pattern_load_ms: u32,
     /// From showing a pattern to the camera's trigger, µs.
     pub pattern_settle_us: u32,
     /// Readout of a frame, µs.
@@ -185,10 +187,11 @@ impl Default for Light {
 
 impl Default for Timing {
     /// After 100 ms the ringing of die and head at 20 Hz and more has decayed (10 periods of 100 Hz). Mirrors settle within tens
-    /// of µs. Readout: a frame of 1920 x 1200 pixels at 16 bit takes 12.5 ms over USB 3, plus 4 % for other traffic on the link.
+    /// of µs. TI names up to 200 ms for an image out of the flash of a DLPC350, and nothing shorter for a DLPC900. Readout: a frame of 1920 x 1200 pixels at 16 bit takes 12.5 ms over USB 3, plus 4 % for other traffic on the link.
     fn default() -> Self {
         Self {
             settle_ms: 100,
+            pattern_load_ms: 200,
             pattern_settle_us: 200,
             camera_readout_us: 13_000,
         }
@@ -379,6 +382,13 @@ impl Timing {
     fn check(&self) -> Result<(), BadValue> {
         let (ms, us) = ("0 to 60000 ms", "0 to 1000000 us");
         within("timing.settle_ms", self.settle_ms, 0..=60_000, ms)?;
+        let load = "0 to 900 ms";
+        within(
+            "timing.pattern_load_ms",
+            self.pattern_load_ms,
+            0..=900,
+            load,
+        )?;
         for (key, value_us) in [
             ("timing.pattern_settle_us", self.pattern_settle_us),
             ("timing.camera_readout_us", self.camera_readout_us),
@@ -556,7 +566,7 @@ mod tests {
         }
         let line = load("[stages.line]\nbaud = 300\n").unwrap_err();
         assert!(
-            line.ends_with("stages.line.baud = 300.0: 1200 to 921600 baud"),
+            line.ends_with("stages.line.baud = 300.0: 19200 to 921600 baud"),
             "{line}"
         );
         let even = load("[stages.line]\nbaud = 19200\nparity = \"even\"\n").unwrap_err();

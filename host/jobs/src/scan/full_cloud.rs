@@ -63,6 +63,10 @@ pub(super) fn write(
     match format {
         Format::Ply => write_ply(&views, count, session, out)?,
         Format::Npz => write_arrays(&views, count, session, out)?,
+        Format::Stl => {
+            let why = "points are no triangles: PLY or arrays hold them";
+            return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, why).into());
+        }
     }
     Ok(count as u64)
 }

@@ -238,6 +238,7 @@ impl Scanner {
         hinz2019: Hinz2019Settings,
     ) -> Result<(), ScanError> {
         check_voxel_size(hinz2019.voxel_mm)?;
+        let hinz2019 = hinz2019.for_toothing(self.gear.radial_threshold_mm);
         (self.method, self.hinz2019) = (method, hinz2019);
         Ok(())
     }

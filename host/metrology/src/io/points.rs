@@ -5,6 +5,7 @@ use std::path::Path;
 
 use flankscope_foundation::npz::NpzWriter;
 
+use super::mesh::{TriMesh, write_stl};
 use super::ply::{self, Column, Extra, Scalar};
 
 /// Header comment of every PLY in mm of whose frame nothing more is known.
@@ -17,16 +18,48 @@ pub enum Format {
     Ply,
     /// Arrays for NumPy: `points_mm` (n, 3), one of (n) per column under its name, `triangles` (m, 3) if there are any.
     Npz,
+    /// Binary STL, of triangles alone: no columns, single precision.
+    Stl,
+}
+
+/// A file of a kind that is not written.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error("{name}: {written}; another ending is not written")]
+pub struct FormatError {
+    name: String,
+    written: &'static str,
 }
 
 impl Format {
-    /// Arrays where the name ends in `.npz`, PLY for every other.
-    #[must_use]
-    pub fn from_path(path: &Path) -> Self {
-        let is_npz = path
-            .extension()
-            .is_some_and(|ending| ending.eq_ignore_ascii_case("npz"));
-        if is_npz { Self::Npz } else { Self::Ply }
+    /// Of a cloud: arrays where the name ends in `.npz`, PLY where in `.ply` or nothing.
+    ///
+    /// # Errors
+    /// Another ending.
+    pub fn of_cloud(path: &Path) -> Result<Self, FormatError> {
+        match Self::of_mesh(path) {
+            Ok(Self::Stl) | Err(_) => Err(FormatError {
+                name: path.display().to_string(),
+                written: "points are written as PLY (name.ply) or as arrays for NumPy (name.npz)",
+            }),
+            of_points => of_points,
+        }
+    }
+
+    /// Of a mesh: these, or STL where the name ends in `.stl`.
+    ///
+    /// # Errors
+    /// Another ending.
+    pub fn of_mesh(path: &Path) -> Result<Self, FormatError> {
+        let ending = path.extension().map(|ending| ending.to_ascii_lowercase());
+        match ending.as_deref().map(|ending| ending.to_str()) {
+            None | Some(Some("ply")) => Ok(Self::Ply),
+            Some(Some("npz")) => Ok(Self::Npz),
+            Some(Some("stl")) => Ok(Self::Stl),
+            Some(_) => Err(FormatError {
+                name: path.display().to_string(),
+                written: "a mesh is written as PLY (name.ply), STL (name.stl) or arrays for NumPy (name.npz)",
+            }),
+        }
     }
 }
 
@@ -72,6 +105,13 @@ impl<'a> PointFile<'a> {
                 self.triangles,
             ),
             Format::Npz => self.write_arrays(out),
+            Format::Stl => write_stl(
+                out,
+                &TriMesh {
+                    vertices: self.points.to_vec(),
+                    triangles: self.triangles.to_vec(),
+                },
+            ),
         }
     }
 
@@ -115,5 +155,41 @@ fn carried<W: Write>(npz: &mut NpzWriter<W>, count: usize, extra: &Extra) -> io:
         Scalar::U32 => npz.stream(name, shape, values.map(|v| Ok(v as u32))),
         Scalar::F32 => npz.stream(name, shape, values.map(|v| Ok(v as f32))),
         Scalar::F64 => npz.stream(name, shape, values.map(Ok)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::{Unit, mesh};
+
+    #[test]
+    fn a_mesh_named_stl_is_one() {
+        let points = [
+            [0.0, 0.0, 0.0],
+            [10.0, 0.0, 0.0],
+            [0.0, 10.0, 0.0],
+            [0.0, 0.0, 10.0],
+        ];
+        let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let file = PointFile {
+            triangles: &triangles,
+            ..PointFile::from_points(&points)
+        };
+        let mut bytes = Vec::new();
+        file.write(Format::of_mesh(Path::new("a/d.STL")).unwrap(), &mut bytes)
+            .unwrap();
+        assert_eq!(bytes.len(), 84 + 50 * triangles.len());
+        let read = mesh::parse(&bytes, Unit::Mm).unwrap();
+        assert_eq!(read.triangles.len(), triangles.len());
+        let corners = |mesh: &TriMesh, at: usize| mesh.corners(at);
+        let own = TriMesh {
+            vertices: points.to_vec(),
+            triangles: triangles.to_vec(),
+        };
+        for at in 0..triangles.len() {
+            assert_eq!(corners(&read, at), corners(&own, at));
+        }
+        assert!(Format::of_cloud(Path::new("d.stl")).is_err());
     }
 }

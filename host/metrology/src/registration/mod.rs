@@ -165,6 +165,16 @@ pub enum RegistrationFailure {
         /// Limit.
         limit_mm: f64,
     },
+    /// No direction is well observed: whatever pose was found, another would do about as well.
+    #[error(
+        "none of the six directions is observed well: the best has a standard deviation of {best_mm:.6} mm, below {limit_mm} mm is needed; \
+         more points, a larger part of the surface, or a start nearer to it", best_mm = Number(*best_mm), limit_mm = Number(*limit_mm))]
+    AllWeak {
+        /// Standard deviation along the best known direction.
+        best_mm: f64,
+        /// Limit.
+        limit_mm: f64,
+    },
     /// Another tooth fits as well.
     #[error(
         "ambiguous tooth: the pose found is {moved_rad:.5} rad from the start, its rival one pitch on is {rival_rad:.5} rad away; a ratio of at most {limit_ratio} is needed", moved_rad = Number(*moved_rad), rival_rad = Number(*rival_rad), limit_ratio = Number(*limit_ratio))]

@@ -457,6 +457,7 @@ impl<'a, R: RegistrationTarget> FitProblem<'a, R> {
             unscale[(k, k)] = 1.0 / self.arm;
         }
 
+        let weak = observed.weak(options.observed_mm, prior_information.as_ref());
         let unobserved = observed.count_above(options.unobserved_mm);
         let reason = if (inliers as f64) < options.least_inlier_ratio * fit.samples.len() as f64 {
             Some(RegistrationFailure::TooFewInliers {
@@ -476,6 +477,11 @@ impl<'a, R: RegistrationTarget> FitProblem<'a, R> {
                 unobserved,
                 limit_mm: options.unobserved_mm,
             })
+        } else if self.prior.is_none() && weak.len() == 6 {
+            Some(RegistrationFailure::AllWeak {
+                best_mm: weak[5].sigma_mm,
+                limit_mm: options.observed_mm,
+            })
         } else {
             self.prior_violated(&fit.pose)
                 .or_else(|| self.ambiguous(&fit, reach_mm, inliers))
@@ -488,7 +494,7 @@ impl<'a, R: RegistrationTarget> FitProblem<'a, R> {
             inliers,
             rms_mm,
             noise_mm: fit.noise,
-            weak_directions: observed.weak(options.observed_mm, prior_information.as_ref()),
+            weak_directions: weak,
             covariance: unscale * total.covariance(1.0) * unscale,
             centre_mm: self.centre.into(),
             arm_mm: self.arm,

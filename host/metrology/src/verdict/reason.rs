@@ -364,7 +364,9 @@ impl From<&registration::RegistrationFailure> for Code {
             RegistrationFailure::Disjoint { .. } => Self::Disjoint,
             RegistrationFailure::TooFewInliers { .. } => Self::TooFewInliers,
             RegistrationFailure::NotConverged { .. } => Self::NotConverged,
-            RegistrationFailure::Unconstrained { .. } => Self::Unconstrained,
+            RegistrationFailure::Unconstrained { .. } | RegistrationFailure::AllWeak { .. } => {
+                Self::Unconstrained
+            }
             RegistrationFailure::AmbiguousTooth { .. } => Self::AmbiguousTooth,
             RegistrationFailure::PriorViolated { .. } => Self::PriorViolated,
             RegistrationFailure::BadPrior => Self::BadPrior,

@@ -254,12 +254,22 @@ impl Band {
                         difference.fill(0.0);
                         amplitude.fill(0.0);
                     }
+                    // A saturated pixel is at least as bright as the limit: that tells a bit as well as its count would. Of
+                    // several pixels that share a cell it says too little.
+                    let saturated = match layout.grid.pixels_per_cell() {
+                        1 => f32::from(layout.saturation_limit_dn),
+                        _ => f32::NAN,
+                    };
+                    let least = |value: f32| match value == f32::INFINITY {
+                        true => saturated,
+                        false => value,
+                    };
                     if part == BitPart::Alone {
-                        let off = |i: usize, mean: f32| values[i] - mean;
+                        let off = |i: usize, mean: f32| least(values[i]) - mean;
                         add_difference(finest, off, difference, amplitude);
                     } else {
                         let lit = &self.lit[cells];
-                        let off = |i: usize, _: f32| 0.5 * (lit[i] - values[i]);
+                        let off = |i: usize, _: f32| 0.5 * (least(lit[i]) - least(values[i]));
                         add_difference(finest, off, difference, amplitude);
                     }
                 }

@@ -2,7 +2,8 @@
 //!
 //! A bit is lit where its frame is brighter than the mean of the finest fringes (half the light, whatever else shines), or than
 //! its complement. The finest fringes come last before the code, so that their sums of the same exposure are at hand; an exposure
-//! of which they or a bit's frames saturate in a cell is left out of that bit, as it is of the fringes.
+//! of which they saturate in a cell is left out, as it is of the fringes. A bit's own frame may saturate where its projector shows
+//! white brighter than the fringes' crests: it is lit then.
 
 /// Sums of one bit over the exposures used, in counts per frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +55,7 @@ pub(super) fn add_difference(
     for i in 0..difference.len() {
         let mean = finest.sum[i] * share;
         let off = of_cell(i, mean);
-        // Both are infinite, or no number, where a frame was saturated.
+        // The mean is infinite where a fringe was saturated; the difference no number where a bit's frame was and says nothing.
         let good = off.is_finite() && mean.is_finite();
         let swing =
             2.0 * share * (finest.re[i] * finest.re[i] + finest.im[i] * finest.im[i]).sqrt();

@@ -13,7 +13,8 @@ use flankscope_foundation::normal::guard_factor;
 /// Limits of the test of a cell's frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyOptions {
-    /// A cell whose chi-square would be exceeded by noise alone with less than this probability is dropped.
+    /// A cell whose chi-square would be exceeded by noise alone with less than this probability is dropped; with 0 none is, and
+    /// the scatter of the frames is measured only.
     pub least_probability: f64,
     /// Standard deviation of lamp and response from frame to frame, relative to the light, beside shot and read noise.
     pub response_ratio: f64,
@@ -31,13 +32,13 @@ impl ConsistencyOptions {
         relative_to_view: false,
     };
 
-    /// For images from other instruments, where noise alone drops a cell with this probability; none for 0.
-    pub fn for_images(least_probability: f64) -> Option<Self> {
-        (least_probability != 0.0).then_some(Self {
+    /// For images from other instruments, where noise alone drops a cell with this probability; 0 drops none.
+    pub fn for_images(least_probability: f64) -> Self {
+        Self {
             least_probability,
             relative_to_view: true,
             ..Self::INSTRUMENT
-        })
+        }
     }
 }
 
@@ -108,6 +109,9 @@ pub(crate) fn add_chi_square(
 /// The chi-square that noise alone exceeds with a probability, for degrees of freedom from 0 (Wilson and Hilferty 1931: to
 /// 1 % at two degrees and more, 4 % at one).
 pub(crate) fn limits(probability: f64, most: usize) -> Vec<f32> {
+    if probability == 0.0 {
+        return vec![f32::INFINITY; most + 1];
+    }
     let z = guard_factor(1.0 - probability);
     let limit = |dof: usize| {
         if dof == 0 {

@@ -1,5 +1,7 @@
 //! One cell: from its sums to a depth, or to the first reason why there is none.
 
+use std::f64::consts::TAU;
+
 use super::Decoder;
 use super::coded::CodedCell;
 use super::conditioned::Conditioned;
@@ -37,6 +39,8 @@ pub(super) struct CellResult {
     /// Direction of its light, x and y at z = 1.
     pub direction: [f64; 2],
     pub sigma_z_mm: f32,
+    /// Depth over one turn of the finest phase: what a phase that is noise leaves undetermined.
+    pub turn_mm: f32,
     pub modulation_e: f32,
     /// Misfit of the clues to the fringe order: chi-square per degree of freedom. NaN where no order was found.
     pub clue_chi_square: f32,
@@ -82,6 +86,7 @@ impl CellResult {
             depth_mm: f64::NAN,
             direction: [f64::NAN; 2],
             sigma_z_mm: f32::NAN,
+            turn_mm: f32::NAN,
             modulation_e: 0.0,
             clue_chi_square: f32::NAN,
             separation: 0.0,
@@ -377,13 +382,15 @@ impl Decoder {
             return Err(Fate::OutsideProjector.into());
         }
         let periods = self.patterns.finest().periods;
-        let sigma_z_mm = depth_sigma_mm(column.sigma_rad, periods, self.projector_width_px, &hit);
+        let depth_mm =
+            |phase_rad: f64| depth_sigma_mm(phase_rad, periods, self.projector_width_px, &hit);
         Ok(CellResult {
             fate: Fate::Point,
             by_second: false,
             depth_mm: hit.depth_mm,
             direction,
-            sigma_z_mm: sigma_z_mm as f32,
+            sigma_z_mm: depth_mm(column.sigma_rad) as f32,
+            turn_mm: depth_mm(TAU) as f32,
             modulation_e: column.modulation_e as f32,
             clue_chi_square: column.clue_chi_square,
             separation: column.separation,

@@ -1,6 +1,7 @@
 //! The whole way: from the sums of a view to points in the camera frame.
 
 mod cell;
+mod certainty;
 mod coded;
 mod conditioned;
 mod error;
@@ -172,6 +173,7 @@ impl Decoder {
                 .map(|gate| frame_noise(&sensor, &layout.grid, gate.response_ratio)),
             agreement: options
                 .consistency
+                .filter(|gate| gate.least_probability > 0.0)
                 .and_then(|_| Agreement::new(exposures_us, &all_periods)),
             ..layout
         };
@@ -321,15 +323,9 @@ impl Decoder {
         let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
         around.judge_exposures(&mut results, self.disagreements(&view));
         around.judge_orders(&mut results, self.options.order_consistency);
+        around.raise_to_frames(&mut results, self.frame_scatter(&view));
         around.raise_uncertainties(&mut results);
-        if let Some(limit_mm) = self.options.max_sigma_z_mm {
-            for result in &mut results {
-                let certain = f64::from(result.sigma_z_mm) <= limit_mm;
-                if result.fate == Fate::Point && !certain {
-                    result.reject(Fate::UncertainDepth);
-                }
-            }
-        }
+        certainty::keep_certain(&mut results, self.options.max_sigma_z_mm);
         if let (Some(options), Some(fringes_dn)) = (&self.options.mask, &fringes_dn) {
             for (result, &deviation_dn) in results.iter_mut().zip(fringes_dn) {
                 if f64::from(deviation_dn) < options.threshold_dn && result.fate == Fate::Point {
@@ -342,6 +338,22 @@ impl Decoder {
             results,
             fringes_dn,
         }
+    }
+
+    /// Scatter of every cell's frames about their fringes, chi-square per degree of freedom, less what the uncertainties have been
+    /// raised by already. Nothing where it is not tested, and for the instrument's own frames, which must keep to the prediction.
+    fn frame_scatter(&self, view: &Conditioned<'_>) -> Values {
+        let measured = self.options.consistency;
+        if !measured.is_some_and(|gate| gate.relative_to_view) {
+            return Vec::new();
+        }
+        let scale = view.frame_noise_ratio.max(1.0).powi(2) as f32;
+        let bands = view.accumulator.bands.iter();
+        let cells =
+            bands.flat_map(|band| (0..band.cells).map(|index| self.chi_square(band, index)));
+        cells
+            .map(|(found, freedom)| (freedom > 0).then(|| found / (scale * freedom as f32)))
+            .collect()
     }
 
     fn depths(&self, view: &Conditioned<'_>) -> Vec<CellResult> {

@@ -103,6 +103,18 @@ impl<'a> Neighbourhood<'a> {
         }
     }
 
+    /// Raises uncertainties to the scatter of the frames about each cell, in predicted variances.
+    pub fn raise_to_frames(&self, results: &mut [CellResult], found: Values) {
+        if found.iter().all(Option::is_none) {
+            return;
+        }
+        for (result, variance) in results.iter_mut().zip(self.mean(found, NEAR_UNITS)) {
+            if variance > CHANCE_VARIANCES {
+                result.sigma_z_mm *= variance.sqrt();
+            }
+        }
+    }
+
     /// Raises uncertainties to what frequencies and neighbours show.
     pub fn raise_uncertainties(&self, results: &mut [CellResult]) {
         let disagreement = |result: &CellResult| {

@@ -117,10 +117,10 @@ impl DecodeOptions {
                 GridKind::Pixel => 0.7,
                 GridKind::Core => 0.0,
             },
-            consistency: ConsistencyOptions::for_images(match sensor_assumed {
+            consistency: Some(ConsistencyOptions::for_images(match sensor_assumed {
                 true => 0.0,
                 false => ConsistencyOptions::INSTRUMENT.least_probability,
-            }),
+            })),
             order_consistency: match sensor_assumed {
                 true => OrderConsistency::SCENE,
                 false => OrderConsistency::INSTRUMENT,
@@ -203,11 +203,11 @@ impl DecodeOptions {
             return bad("max_sigma_z_mm", limit, "must be positive");
         }
         if let Some(gate) = options.consistency {
-            if !(gate.least_probability > 0.0 && gate.least_probability < 0.5) {
+            if !(0.0..0.5).contains(&gate.least_probability) {
                 return bad(
                     "consistency.least_probability",
                     gate.least_probability,
-                    "must be above 0 and below 0.5",
+                    "must be at least 0 and below 0.5",
                 );
             }
             if !(0.0..0.5).contains(&gate.response_ratio) {

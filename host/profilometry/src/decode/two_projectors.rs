@@ -79,6 +79,7 @@ mod tests {
             depth_mm,
             direction: [0.1, -0.2],
             sigma_z_mm,
+            turn_mm: 0.3,
             modulation_e: 100.0,
             clue_chi_square: 1.0,
             separation: 9.0,

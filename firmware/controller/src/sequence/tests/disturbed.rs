@@ -84,7 +84,7 @@ fn devices_that_stop_answering_at_any_step_end_in_the_right_fault() {
             Step::Moving { .. } => vec![Fault::MotionTimeout],
             Step::Settling { .. } | Step::Lighting => vec![Fault::LedNotOn],
             // The selection follows the light in the same step, the next frame the end of the last.
-            Step::Selecting { .. } => vec![Fault::DmdSelect],
+            Step::Selecting { .. } | Step::Loading { .. } => vec![Fault::DmdSelect],
             Step::Switching { .. } => vec![Fault::DmdNotReady],
             Step::Standing { .. } | Step::Holding { .. } | Step::Arming { .. } => {
                 vec![Fault::CameraNotReady]

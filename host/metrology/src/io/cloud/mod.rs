@@ -122,7 +122,7 @@ pub enum CloudError {
     },
     /// No part has that size.
     #[error(
-        "the cloud spans {diagonal_mm} mm when read in {unit:?}, right would be {least_mm} to {most_mm} mm: it is probably in another unit; say so with --cloud-unit"
+        "the cloud spans {diagonal_mm} mm when read in {unit:?}, right would be {least_mm} to {most_mm} mm: it is probably in another unit; say so with --cloud-unit mm, m, um or inch (read in m a cloud may span 1 km)"
     )]
     Size {
         /// Diagonal of the bounding box.
@@ -217,8 +217,14 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
 const CHECKED_POINTS: usize = 100;
 /// Smallest diagonal of a cloud of that many points, mm: below what any head's field shows, above a whole die in metres.
 const LEAST_DIAGONAL_MM: f64 = 0.5;
-/// Largest diagonal of the part that a cloud can be of, mm.
-const MOST_DIAGONAL_MM: f64 = 10_000.0;
+/// Largest diagonal of a cloud, mm: of a part of a press, or of a hall or a site if it is said to be in metres.
+fn most_diagonal_mm(unit: Unit) -> f64 {
+    match unit {
+        Unit::M => 1e6,
+        _ => 10_000.0,
+    }
+}
+
 /// Largest coordinate, mm: the origin of a machine hall or of a survey is nearer, and squares of it have their digits.
 pub const MOST_COORDINATE_MM: f64 = 1e9;
 
@@ -250,11 +256,12 @@ impl Cloud {
             .sqrt();
         // A span that overflows is infinite.
         let is_small = self.points.len() >= CHECKED_POINTS && diagonal_mm < LEAST_DIAGONAL_MM;
-        if is_small || diagonal_mm > MOST_DIAGONAL_MM {
+        let most_mm = most_diagonal_mm(unit);
+        if is_small || diagonal_mm > most_mm {
             return Err(CloudError::Size {
                 diagonal_mm,
                 least_mm: LEAST_DIAGONAL_MM,
-                most_mm: MOST_DIAGONAL_MM,
+                most_mm,
                 unit,
             });
         }
