@@ -74,4 +74,3 @@ pub use result::{
     Adjustment, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, StageU95, Stitching,
 };
 pub use session::SessionError;
-pub use view_pipeline::{Kept, Processing, ProcessingError};
