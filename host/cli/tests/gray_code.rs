@@ -155,22 +155,8 @@ impl Rig {
         let [images, plan, head, cloud] =
             ["frames", "PLAN.toml", "head.toml", "cloud.ply"].map(|name| self.text(name));
         flankscope(&[
-            "decode",
-            "--images",
-            &images,
-            "--plan",
-            &plan,
-            "--head",
-            &head,
-            "-o",
-            &cloud,
-            "--json",
-            "-",
-            "-q",
-            "--smooth",
-            "0",
-            "--smooth-coarse",
-            "0",
+            "decode", "--images", &images, "--plan", &plan, "--head", &head, "-o", &cloud,
+            "--json", "-", "-q", "--smooth", "0",
         ])
     }
 

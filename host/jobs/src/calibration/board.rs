@@ -180,16 +180,11 @@ impl BoardFolder {
         adjusted: &BoardAdjusted,
         path: &Path,
         date: Date,
-        valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
-        let record = CalibrationRecord::from_board(
-            adjusted,
-            &self.board,
-            self.pitch_sigma_mm,
-            date,
-            valid_days,
-        );
+        let record =
+            CalibrationRecord::from_board(adjusted, &self.board, self.pitch_sigma_mm, date);
         let head = HeadModel {
+            name: record.name_of(&adjusted.head.name),
             calibration: Some(record.clone()),
             ..adjusted.head.clone()
         };

@@ -310,7 +310,6 @@ impl Calibrated {
         path: &Path,
         link: Option<&Link>,
         date: Date,
-        valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
         save_head(self.adjusted.head.clone(), path, date, |head| {
             CalibrationRecord {
@@ -323,7 +322,6 @@ impl Calibrated {
                     self.hold_out,
                     self.apart,
                     date,
-                    valid_days,
                 )
             }
         })
@@ -348,6 +346,7 @@ pub fn save_head(
         head.cores = Some(reference);
     }
     let record = record(&head);
+    head.name = record.name_of(&head.name);
     head.calibration = Some(record.clone());
     write(path.to_owned(), head.to_toml()?.as_bytes())?;
     Ok(record)

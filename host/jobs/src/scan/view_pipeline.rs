@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use flankscope_metrology::multiview::adjustment::ViewInformation;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::Decoder;
+use flankscope_profilometry::decode::MaskOptions;
 
 use super::grid::Grid;
 use super::job::ScanError;

@@ -7,6 +7,12 @@ use crate::head::{
 };
 use flankscope_foundation::date::Date;
 
+/// Mark in the name of a head whose values are those of its drawing.
+const DRAWN: &str = ", drawing values";
+
+/// Days after which a calibration expires.
+const VALID_DAYS: u32 = 180;
+
 impl CalibrationRecord {
     /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields, `apart` how well two
     /// projectors go together.
@@ -17,12 +23,11 @@ impl CalibrationRecord {
         hold_out: [Option<HoldOut>; 2],
         apart: Option<ApartRecord>,
         date: Date,
-        valid_days: u32,
     ) -> Self {
         let [hold_out, without_field] = hold_out;
         Self {
             date,
-            expires: date.plus_days(valid_days),
+            expires: date.plus_days(VALID_DAYS),
             target: target.to_owned(),
             link: None,
             simulated: None,
@@ -45,13 +50,22 @@ impl CalibrationRecord {
         }
     }
 
+    /// Name of the calibrated head, which every result states: the name of the head that the calibration started from, the date, and
+    /// the first digits of the hash that identifies the calibrated geometry.
+    #[must_use]
+    pub fn name_of(&self, start: &str) -> String {
+        let ends = [DRAWN, ", calibration "].map(|mark| start.find(mark).unwrap_or(start.len()));
+        let head = &start[..ends[0].min(ends[1])];
+        let id = &self.blake3[..8.min(self.blake3.len())];
+        format!("{head}, calibration {id} of {}", self.date)
+    }
+
     /// The record of a head calibrated with an ordinary board; `pitch_sigma_mm` is the standard uncertainty of a certified pitch.
     pub fn from_board(
         adjusted: &BoardAdjusted,
         board: &Board,
         pitch_sigma_mm: Option<f64>,
         date: Date,
-        valid_days: u32,
     ) -> Self {
         let [depth_sigma_um, lateral_sigma_um] = adjusted.sigma_mm.map(|mm| 1e3 * mm);
         let used = adjusted.poses.iter().filter(|pose| pose.used).count();
@@ -61,7 +75,7 @@ impl CalibrationRecord {
             .chain(scale);
         Self {
             date,
-            expires: date.plus_days(valid_days),
+            expires: date.plus_days(VALID_DAYS),
             target: board.to_string(),
             link: None,
             simulated: None,

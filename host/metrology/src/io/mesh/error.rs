@@ -117,7 +117,8 @@ pub enum MeshError {
     },
     /// Too small for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: the file is probably in metres; say so with --cad-unit m (tool file: unit = \"m\")"
+        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: {}",
+        if_too_small(.unit)
     )]
     TooSmall {
         /// Diagonal.
@@ -129,7 +130,8 @@ pub enum MeshError {
     },
     /// Too large for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: the file is probably in micrometres or damaged; say so with --cad-unit um (tool file: unit = \"um\")"
+        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: {}",
+        if_too_large(.unit)
     )]
     TooLarge {
         /// Diagonal.
@@ -140,3 +142,28 @@ pub enum MeshError {
         unit: Unit,
     },
 }
+
+/// Advice for a mesh that is too small for a die in this unit.
+fn if_too_small(read_in: &Unit) -> &'static str {
+    match read_in {
+        Unit::M => "the file is damaged, or shows no die",
+        Unit::Um => PROBABLY_MM,
+        Unit::Mm | Unit::Inch => {
+            "the file is probably in metres; say so with --cad-unit m (tool file: unit = \"m\")"
+        }
+    }
+}
+
+/// Advice for a mesh that is too large for a die in this unit.
+fn if_too_large(read_in: &Unit) -> &'static str {
+    match read_in {
+        Unit::M | Unit::Inch => PROBABLY_MM,
+        Unit::Mm => {
+            "the file is probably in micrometres; say so with --cad-unit um (tool file: unit = \"um\")"
+        }
+        Unit::Um => "the file is damaged, or shows no die",
+    }
+}
+
+const PROBABLY_MM: &str =
+    "the file is probably in millimetres; say so with --cad-unit mm (tool file: unit = \"mm\")";
