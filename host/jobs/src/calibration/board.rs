@@ -17,7 +17,7 @@ use flankscope_profilometry::plan::Plan;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, FrameError, HeadModel};
 use serde::Deserialize;
 
-use super::job::{SaveError, write};
+use super::job::{SaveError, VALID_DAYS, write};
 
 /// Why images of an ordinary board do not give a head.
 #[derive(Debug, thiserror::Error)]
@@ -181,8 +181,13 @@ impl BoardFolder {
         path: &Path,
         date: Date,
     ) -> Result<CalibrationRecord, SaveError> {
-        let record =
-            CalibrationRecord::from_board(adjusted, &self.board, self.pitch_sigma_mm, date);
+        let record = CalibrationRecord::from_board(
+            adjusted,
+            &self.board,
+            self.pitch_sigma_mm,
+            date,
+            VALID_DAYS,
+        );
         let head = HeadModel {
             name: record.name_of(&adjusted.head.name),
             calibration: Some(record.clone()),

@@ -322,11 +322,15 @@ impl Calibrated {
                     self.hold_out,
                     self.apart,
                     date,
+                    VALID_DAYS,
                 )
             }
         })
     }
 }
+
+/// Days after which a calibration expires.
+pub(crate) const VALID_DAYS: u32 = 180;
 
 /// Writes a head file, and beside it the core map, if it has one, with a record of the head's geometry.
 ///

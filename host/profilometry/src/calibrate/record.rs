@@ -10,9 +10,6 @@ use flankscope_foundation::date::Date;
 /// Mark in the name of a head whose values are those of its drawing.
 const DRAWN: &str = ", drawing values";
 
-/// Days after which a calibration expires.
-const VALID_DAYS: u32 = 180;
-
 impl CalibrationRecord {
     /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields, `apart` how well two
     /// projectors go together.
@@ -23,11 +20,12 @@ impl CalibrationRecord {
         hold_out: [Option<HoldOut>; 2],
         apart: Option<ApartRecord>,
         date: Date,
+        valid_days: u32,
     ) -> Self {
         let [hold_out, without_field] = hold_out;
         Self {
             date,
-            expires: date.plus_days(VALID_DAYS),
+            expires: date.plus_days(valid_days),
             target: target.to_owned(),
             link: None,
             simulated: None,
@@ -66,6 +64,7 @@ impl CalibrationRecord {
         board: &Board,
         pitch_sigma_mm: Option<f64>,
         date: Date,
+        valid_days: u32,
     ) -> Self {
         let [depth_sigma_um, lateral_sigma_um] = adjusted.sigma_mm.map(|mm| 1e3 * mm);
         let used = adjusted.poses.iter().filter(|pose| pose.used).count();
@@ -75,7 +74,7 @@ impl CalibrationRecord {
             .chain(scale);
         Self {
             date,
-            expires: date.plus_days(VALID_DAYS),
+            expires: date.plus_days(valid_days),
             target: board.to_string(),
             link: None,
             simulated: None,

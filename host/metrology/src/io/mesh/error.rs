@@ -167,3 +167,31 @@ fn if_too_large(read_in: &Unit) -> &'static str {
 
 const PROBABLY_MM: &str =
     "the file is probably in millimetres; say so with --cad-unit mm (tool file: unit = \"mm\")";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mesh_of_impossible_size_is_told_the_unit_that_fits() {
+        for (read_in, small, large) in [
+            (Unit::Mm, "--cad-unit m ", "--cad-unit um "),
+            (Unit::M, "damaged", "--cad-unit mm "),
+            (Unit::Um, "--cad-unit mm ", "damaged"),
+            (Unit::Inch, "--cad-unit m ", "--cad-unit mm "),
+        ] {
+            let small_error = MeshError::TooSmall {
+                diagonal_mm: 1e-3,
+                least_mm: 1.0,
+                unit: read_in,
+            };
+            assert!(small_error.to_string().contains(small), "{small_error}");
+            let large_error = MeshError::TooLarge {
+                diagonal_mm: 1e5,
+                most_mm: 1e4,
+                unit: read_in,
+            };
+            assert!(large_error.to_string().contains(large), "{large_error}");
+        }
+    }
+}
