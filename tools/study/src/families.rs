@@ -27,6 +27,10 @@ const DEEPEST_MM: f64 = 0.4;
 /// Roughness of a sound flank, standard deviation, and its grain, mm.
 const ROUGH_MM: f64 = 3e-3;
 const GRAIN_MM: f64 = 0.03;
+/// Largest depth of an opening over its width: what the estimator supposes (three), exceeded by two thirds.
+const DEEPEST_PER_WIDTH: f64 = 5.0;
+/// Least length and width of a patch of texture, mm: about half a disc.
+const SMALLEST_PATCH_MM: f64 = 0.3;
 /// Raster of the true values of hairlines, mm.
 const RASTER_MM: f64 = 0.01;
 /// A point of a flank is in view if a core's light falls into a square of this size, mm, which is larger than the cores' spacing on it.
@@ -332,18 +336,21 @@ fn structured(
     let cuts = stand.flanks().map(|id| {
         let target_um = log_between(random, LIMIT_UM + 2.0, 160.0);
         let shape = draw(random, judged);
-        (id, shape.scaled_to(target_um, judged, area_mm2, DEEPEST_MM))
+        let deepest_mm = DEEPEST_MM.min(DEEPEST_PER_WIDTH * shape.width_mm);
+        (id, shape.scaled_to(target_um, judged, area_mm2, deepest_mm))
     });
     let words = cuts.map(|(_, of)| {
         let pitch = of
             .pitch_mm
             .map_or(String::new(), |mm| format!(" every {mm:.3}"));
         format!(
-            "{:?} {:?} {:.3} mm wide{pitch}, {:.0} um deep",
+            "{:?} {:?} {:.3} mm wide{pitch}, {:.0} um deep on {:.2} x {:.2} mm",
             of.plan,
             of.section,
             of.width_mm,
-            1e3 * of.depth_mm
+            1e3 * of.depth_mm,
+            of.within.profile_mm[1] - of.within.profile_mm[0],
+            of.within.height_mm[1] - of.within.height_mm[0]
         )
     });
     Die {
@@ -384,9 +391,16 @@ fn texture(random: &mut Random, judged: Rectangle) -> Structure {
     };
     let width_mm = log_between(random, finest_mm, 0.11);
     let pitch_mm = width_mm * random.between(1.1, 2.2);
-    let [low, high] = judged.height_mm;
-    let half_mm = 0.5 * random.between(0.8, 2.4);
-    let middle_mm = random.between(low + half_mm, high - half_mm);
+    let mut part = |[low, high]: [f64; 2]| {
+        let length_mm = log_between(random, SMALLEST_PATCH_MM, 2.4).min(high - low);
+        let from_mm = random.between(low, high - length_mm);
+        [from_mm, from_mm + length_mm]
+    };
+    let within = Rectangle {
+        profile_mm: part(judged.profile_mm),
+        height_mm: part(judged.height_mm),
+    };
+    let middle_mm = 0.5 * (within.height_mm[0] + within.height_mm[1]);
     Structure {
         plan,
         section: section(random),
@@ -394,13 +408,10 @@ fn texture(random: &mut Random, judged: Rectangle) -> Structure {
         pitch_mm: Some(pitch_mm),
         depth_mm: 0.0,
         at_mm: [
-            judged.profile_mm[0] + random.uniform() * pitch_mm,
+            within.profile_mm[0] + random.uniform() * pitch_mm,
             middle_mm,
         ],
-        within: Rectangle {
-            height_mm: [middle_mm - half_mm, middle_mm + half_mm],
-            ..judged
-        },
+        within,
     }
 }
 
@@ -673,7 +684,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         "# Families of dies, drawn at random\n\nMade by `{}` at commit \
          `{}`.\n\nOf every family {} dies are drawn before each of {} heads, each head calibrated on the bench, and judged by frames \
          against the truth. *Texture*: grooves and pits 30 to 110 µm wide (what finer ones do is in [resolution](resolution.md)), 1.1 to 2.2 widths apart, flat, V-shaped or round, along, \
-         across or at any angle. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
+         across or at any angle, in patches 0.3 to 2.4 mm long and wide, at most five widths deep. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
          side 0 to 45 µm proud, of all teeth or of five, without a datum. *Neighbours*: one flank beside the judged tooth 55 to \
          200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts, and the truth is that of \
          what camera and projector see of the flank within the head's stated field. *Another size*: 0.02 \

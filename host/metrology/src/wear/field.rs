@@ -253,6 +253,36 @@ impl Field {
         along(0).hypot(along(1))
     }
 
+    /// By how much the surface about one border of the block of nine cells lies deeper than about the opposite one, mm: the larger one of
+    /// profile and height. Nought where either was not seen.
+    pub(super) fn step_mm(&self, cell: usize) -> f64 {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let depth = |column: Option<usize>, row: Option<usize>| {
+            let (column, row) = (column?, row?);
+            (column < self.columns && row < self.rows)
+                .then(|| self.wear_mm[row * self.columns + column])
+        };
+        // Two cells to each side of a border, three along it.
+        let border = |axis: usize, sign: isize| {
+            let places =
+                (1..3_isize).flat_map(|away| (-1..2_isize).map(move |along| [sign * away, along]));
+            let depths = places.filter_map(|step| {
+                let [across, up] = [step[axis], step[1 - axis]];
+                depth(
+                    column.checked_add_signed(across),
+                    row.checked_add_signed(up),
+                )
+            });
+            let (sum, count) = depths
+                .filter(|mm| mm.is_finite())
+                .fold((0.0, 0.0), |(sum, count), mm| (sum + mm, count + 1.0));
+            sum / count
+        };
+        let step = |axis: usize| (border(axis, 1) - border(axis, -1)).abs();
+        // The larger of a number and NaN is the number.
+        step(0).max(step(1)).max(0.0)
+    }
+
     /// The cells up to so many columns and rows away, and the cell itself.
     pub(super) fn window(&self, cell: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         let (column, row) = (cell % self.columns, cell / self.columns);

@@ -400,7 +400,7 @@ mod tests {
         let shapes: [fn(f64, f64) -> f64; 4] = [
             |x, y| {
                 if (x - 0.9).hypot(y - 4.0) < 0.2821 {
-                    60e-3
+                    10e-3
                 } else {
                     0.0
                 }

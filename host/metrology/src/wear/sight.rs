@@ -223,7 +223,8 @@ impl Visibility {
     /// are why. Such rays count where more are missing than a strip as wide as points lie apart. Of the others the point may lie
     /// elsewhere, but beside its place on the CAD by its depth times the slant, so that of every border some pairs of ray and
     /// point lie on both sides: as many as points lie within that distance of it. They count as independent, three standard
-    /// deviations are allowed, and one ray more. Where the surface falls away from the camera its points lie farther apart: what
+    /// deviations are allowed, and one ray more. Where the surface seen at one border lies deeper than at the opposite one, as many
+    /// points more leave there as the difference tells. Where the surface falls away from the camera its points lie farther apart: what
     /// lies deeper on one side and is seen there is not hidden. What those may hide is an opening as wide as they are, which
     /// begins where the deepest cell about it ends.
     pub fn shadows(&self, field: &Field, noise_scale: f64) -> Vec<Unseen> {
@@ -254,7 +255,9 @@ impl Visibility {
         let points = f64::from(block.points);
         // On a slope that falls away from the camera points lie as much farther apart.
         let slope = field.slope(cell) * self.slant;
-        let rays = f64::from(block.rays - block.dark - block.undecoded) / (1.0 + slope);
+        let all = f64::from(block.rays - block.dark - block.undecoded) / (1.0 + slope);
+        // More points leave a block where it ends in a groove than come in where it begins before it.
+        let rays = all - points * (self.slant * field.step_mm(cell) / block_mm).min(1.0);
         let depths = || {
             let all = field.window(cell, 1).map(|c| field.wear_mm[c]);
             all.filter(|wear| wear.is_finite())

@@ -33,6 +33,12 @@ const LEAST_CELLS: usize = 8;
 const SMOOTH_RATIO: f64 = 0.25;
 /// Standard normal quantile of [`SMOOTH_RATIO`].
 const SMOOTH_DEVIATE: f64 = -0.674_490;
+/// It is, too, when its points scatter more than that on average, mm: texture that fills a part of a disc only. Hairlines that are seen
+/// to their floor scatter in the few cells in which they begin and end.
+const PARTLY_ROUGH_MM: f64 = 4.2e-3;
+/// Cells of a window for each that a single straight edge crosses (at most nine of 25): an edge is no texture, so that no cell counts for
+/// more than that many times the limit in the average.
+const CELLS_PER_EDGE_CELL: f64 = 25.0 / 9.0;
 /// Quantiles of the depths in a window that stand for the unworn surface between the openings, and for the deepest that light
 /// came back from: one point in thirty may be wrong.
 const LAND_RATIO: f64 = 0.1;
@@ -117,13 +123,36 @@ fn reached_mm(discs: &Discs<'_>, cells: &[usize], level_mm: f64, noise_scale: f6
 /// Scatter of a cell's points about their plane.
 #[derive(Clone, Copy)]
 struct Scatter {
-    /// Variance less that of the points' noise, over the quantile that chi-squared of as many degrees of freedom has at
-    /// [`SMOOTH_RATIO`], mm2.
-    excess_mm2: f64,
+    /// Their variance, mm2.
+    variance_mm2: f64,
     /// Variance of the points' noise, mm2.
     noise_mm2: f64,
     /// Degrees of freedom.
     freedom: f64,
+}
+
+impl Scatter {
+    /// Variance less that of noise, were this cell's the [`SMOOTH_RATIO`] quantile of equal ones, mm2: Wilson and Hilferty 1931.
+    fn excess_as_quantile_mm2(&self) -> f64 {
+        let ninth = 2.0 / (9.0 * self.freedom);
+        let quantile = (1.0 - ninth + SMOOTH_DEVIATE * ninth.sqrt()).powi(3);
+        self.variance_mm2 / quantile - self.noise_mm2
+    }
+}
+
+/// Whether the cells of a window scatter more than noise and a rough surface do, in all of it or in a part.
+fn is_textured(cells: &[Scatter]) -> bool {
+    let freedom: f64 = cells.iter().map(|of| of.freedom).sum();
+    let noise_mm2 = cells.iter().map(|of| of.noise_mm2).sum::<f64>() / cells.len() as f64;
+    // Three standard deviations of the noise's own variance.
+    let by_chance_mm2 = 3.0 * noise_mm2 * (2.0 / freedom).sqrt();
+    let exceeds = |mm2: f64, limit_mm: f64| mm2 > limit_mm * limit_mm + by_chance_mm2;
+    let most_mm2 = CELLS_PER_EDGE_CELL * PARTLY_ROUGH_MM * PARTLY_ROUGH_MM;
+    let excess_mm2 = |of: &Scatter| (of.variance_mm2 - of.noise_mm2).min(most_mm2);
+    let mean_mm2 = cells.iter().map(excess_mm2).sum::<f64>() / cells.len() as f64;
+    let mut excesses: Vec<f64> = cells.iter().map(Scatter::excess_as_quantile_mm2).collect();
+    exceeds(mean_mm2, PARTLY_ROUGH_MM)
+        || quantile(&mut excesses, SMOOTH_RATIO).is_some_and(|mm2| exceeds(mm2, ROUGHNESS_MM))
 }
 
 /// Scatter of a cell's points; none of a cell with too few.
@@ -137,16 +166,13 @@ fn scatter(points: &[&WearSample]) -> Option<Scatter> {
     let noise_mm2 = of_noise.sum::<f64>() / count;
     let within_mm2: f64 = points.iter().map(|p| p.within_mm2).sum();
     let squares = squares_about_plane(points)? + within_mm2;
-    // Wilson and Hilferty 1931.
-    let ninth = 2.0 / (9.0 * freedom);
-    let quantile = (1.0 - ninth + SMOOTH_DEVIATE * ninth.sqrt()).powi(3);
     let noise_mm2 = if noise_mm2.is_finite() {
         noise_mm2
     } else {
         0.0
     };
     Some(Scatter {
-        excess_mm2: squares / freedom / quantile - noise_mm2,
+        variance_mm2: squares / freedom,
         noise_mm2,
         freedom,
     })
@@ -182,16 +208,7 @@ fn textures(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
         .map(|cell| {
             let window = || field.window(cell, WINDOW);
             let known: Vec<Scatter> = window().filter_map(|c| scatters[c]).collect();
-            if known.len() < LEAST_CELLS {
-                return Unseen::default();
-            }
-            let freedom: f64 = known.iter().map(|of| of.freedom).sum();
-            let noise_mm2 = known.iter().map(|of| of.noise_mm2).sum::<f64>() / known.len() as f64;
-            // Three standard deviations of the noise's own variance.
-            let by_chance_mm2 = 3.0 * noise_mm2 * (2.0 / freedom).sqrt();
-            let mut excesses: Vec<f64> = known.iter().map(|of| of.excess_mm2).collect();
-            let excess_mm2 = quantile(&mut excesses, SMOOTH_RATIO);
-            if excess_mm2.is_none_or(|mm2| mm2 <= ROUGHNESS_MM * ROUGHNESS_MM + by_chance_mm2) {
+            if known.len() < LEAST_CELLS || !is_textured(&known) {
                 return Unseen::default();
             }
             let mut wears: Vec<f64> = window()
