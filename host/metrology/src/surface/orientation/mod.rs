@@ -13,7 +13,6 @@ mod winding;
 use std::sync::OnceLock;
 
 use nalgebra::Vector3;
-use rayon::prelude::*;
 
 use crate::io::mesh::{TriMesh, weld};
 use crate::space::Aabb;
