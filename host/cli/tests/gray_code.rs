@@ -70,7 +70,7 @@ impl Rig {
             self.text("dmd"),
         );
         let wrote = flankscope(&[
-            "patterns", "--head", &head, "--plan", &plan, "-o", &out, "-q",
+            "patterns", "--head", &head, "--set", &plan, "-o", &out, "-q",
         ]);
         let error = String::from_utf8_lossy(&wrote.stderr);
         assert!(wrote.status.success(), "{error}");
