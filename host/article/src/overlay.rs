@@ -22,8 +22,6 @@ pub struct Overlay {
     pub measured: Vec<(usize, Vec<[f64; 2]>)>,
     /// The reference points.
     pub reference: Vec<[f64; 2]>,
-    /// Height of the slice's middle, mm.
-    pub height_mm: f64,
 }
 
 /// The first view alone, and the first `count` together; also the distances of the first view's points to the nearest reference
@@ -66,7 +64,6 @@ pub(crate) fn overlays(
         found.push(Overlay {
             measured: measured.collect(),
             reference: slice(reference.points(), centre),
-            height_mm: centre[2],
         });
     }
     (found, one_view_um)

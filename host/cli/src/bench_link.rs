@@ -17,7 +17,7 @@ use flankscope_bench::process::{Farewell, Hello};
 use flankscope_bench::world::Carries;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::controller::ClientSettings;
-use flankscope_instrument::settings::{Stages, StationSettings};
+use flankscope_instrument::settings::Stages;
 use flankscope_metrology::kinematics::Moves;
 use flankscope_record::origin::Link;
 
@@ -81,7 +81,7 @@ pub fn fits_real_press(setup: &BenchSetup, link: &Link) -> anyhow::Result<()> {
     for (option, file) in [("--die-mesh", &setup.die_mesh), ("--bench", &setup.path)] {
         if let Some(file) = file {
             bail!(
-                "{option} {}: only a simulated bench can be given one; --link {link} is a real press",
+                "{option} {}: this is for the simulated bench; --link {link} is a real press",
                 file.display()
             );
         }
@@ -100,7 +100,7 @@ pub fn fits_recording(setup: &BenchSetup) -> anyhow::Result<()> {
     ];
     for (option, given) in given {
         if given {
-            bail!("{option} beside --frames or --clouds: no bench can change what was recorded");
+            bail!("{option} with --frames or --clouds: the bench does not change recorded frames");
         }
     }
     Ok(())
@@ -221,7 +221,7 @@ impl Bench {
         has_camera(setup)?;
         match (stages.moves, &setup.file.stages.arm) {
             (Moves::Outside, None) => bail!(
-                "stages.moves = \"outside\": on the bench nobody carries the head; add [stages] arm = \"FILE\" to the bench file (--bench), which says where an arm \
+                "stages.moves = \"outside\": the simulated bench has no arm of its own; add [stages] arm = \"FILE\" to the bench file (--bench), which says where an arm \
                  holds it"
             ),
             (Moves::Die | Moves::Head, Some(_)) => bail!(
@@ -309,10 +309,10 @@ impl Bench {
     }
 
     /// Timeouts for a controller whose clock runs faster.
-    pub fn client_settings(&self, settings: &StationSettings) -> ClientSettings {
+    pub fn client_settings(&self) -> ClientSettings {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
-            stall: settings.client().stall.filter(|_| self.real_time),
+            stall: ClientSettings::default().stall.filter(|_| self.real_time),
             // An emulated controller stands still, and answers nothing, while the bench renders.
             unanswered: if self.emulated {
                 ClientSettings::default().silence

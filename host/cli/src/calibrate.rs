@@ -77,9 +77,6 @@ pub struct Args {
     /// Only test this calibrated head on plane and spheres; the result is written beside it
     #[arg(long, value_name = "HEAD.toml", conflicts_with = "output")]
     check: Option<PathBuf>,
-    /// Days until the calibration expires
-    #[arg(long, value_name = "DAYS", default_value_t = 180, value_parser = clap::value_parser!(u32).range(1..=3650))]
-    valid_days: u32,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -136,7 +133,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             images,
             board: args.board.as_deref(),
             output,
-            valid_days: args.valid_days,
         };
         return calibrate_board::run(&order, &args.common);
     }
@@ -406,7 +402,7 @@ impl Job<'_> {
             .job
             .calibrate(&survey.port, survey.settings.clone(), |p| watcher.show(p))?;
         let truth = survey.close(quiet)?;
-        let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;
+        let record = calibrated.save(output, Some(site.link()), Date::today())?;
         seals()?.seal_toml(Kind::Head, output)?;
         let plates = Instant::now();
         let tested = if target.sphere.is_some() && target.limits.is_some() {
@@ -434,7 +430,7 @@ impl Job<'_> {
                 say(&view.display().to_string());
             }
         })?;
-        let record = calibrated.save(self.output, None, Date::today(), self.args.valid_days)?;
+        let record = calibrated.save(self.output, None, Date::today())?;
         seals()?.seal_toml(Kind::Head, self.output)?;
         let plates = Instant::now();
         let tested = folder.self_test(&HeadModel::load(self.output)?, Date::today())?;
@@ -484,7 +480,7 @@ impl Job<'_> {
                 Some(test) => print_self_test(&mut out, test)?,
                 None => writeln!(
                     out,
-                    "not yet tested: it judges after flankscope calibrate --check {}",
+                    "no self-test yet; checks need one: flankscope calibrate --check {}",
                     output.display()
                 )?,
             }
@@ -547,7 +543,7 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
     }
     writeln!(
         out,
-        "{} dots in {} views, {} left out; left over {:.3} px of the dots, {:.3} px of the fringes",
+        "{} dots in {} views, {} left out; residual {:.3} px of the dots, {:.3} px of the fringes",
         record.dots, record.views, record.dropped, record.camera_rms_px, record.projector_rms_px
     )?;
     writeln!(
@@ -566,7 +562,7 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
         let Some(aside) = aside else { continue };
         writeln!(
             out,
-            "{} plates kept aside{with}: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
+            "{} plates not used in the adjustment{with}: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
             aside.views, aside.flatness_rms_um, aside.flatness_um, aside.dots_rms_um
         )?;
     }
@@ -578,9 +574,9 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
         )?;
     }
     if record.simulated == Some(true) {
-        writeln!(out, "SIMULATED BENCH: this head judges nothing at a press")?;
+        writeln!(out, "SIMULATED BENCH: this head cannot be used at a press")?;
     }
-    writeln!(out, "{}: counts until {}", path.display(), record.expires)?;
+    writeln!(out, "{}: valid until {}", path.display(), record.expires)?;
     Ok(())
 }
 

@@ -48,8 +48,6 @@ pub struct Order<'a> {
     pub board: Option<&'a Path>,
     /// The head file.
     pub output: &'a Path,
-    /// Days until the calibration expires.
-    pub valid_days: u32,
 }
 
 /// Calibrates and writes the head.
@@ -64,7 +62,7 @@ pub fn run(order: &Order<'_>, common: &Common) -> anyhow::Result<Outcome> {
             say(&pose.display().to_string());
         }
     })?;
-    let record = folder.save(&adjusted, order.output, Date::today(), order.valid_days)?;
+    let record = folder.save(&adjusted, order.output, Date::today())?;
     seals()?
         .seal_toml(Kind::Head, order.output)
         .context("seal of the head")?;
@@ -116,7 +114,7 @@ fn print(adjusted: &BoardAdjusted, record: &CalibrationRecord, path: &Path) -> s
     }
     writeln!(
         out,
-        "\n{} points in {} poses, {} dropped; left over per axis {:.3} px in the camera, {:.3} px in the projector (distances {:.3} and {:.3} px)",
+        "\n{} points in {} poses, {} dropped; residual per axis {:.3} px in the camera, {:.3} px in the projector (distances {:.3} and {:.3} px)",
         record.dots,
         record.views,
         record.dropped,
@@ -147,5 +145,5 @@ fn print(adjusted: &BoardAdjusted, record: &CalibrationRecord, path: &Path) -> s
         "where the head is on its stage is not known: `decode` measures with {}, `inspect` does not",
         path.display()
     )?;
-    writeln!(out, "{}: counts until {}", path.display(), record.expires)
+    writeln!(out, "{}: valid until {}", path.display(), record.expires)
 }

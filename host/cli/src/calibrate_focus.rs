@@ -114,7 +114,7 @@ fn print(record: &CalibrationRecord, path: &Path) -> anyhow::Result<()> {
         let [drift_depth_um, drift_lateral_um] = focus.drift_um;
         writeln!(
             out,
-            "{} dpt at {} °C, computed between {:?} dpt\nthe way between them leaves {depth_um:.1} µm in depth, {lateral_um:.1} µm \
+            "{} dpt at {} °C, computed between {:?} dpt\ninterpolation between them leaves {depth_um:.1} µm in depth, {lateral_um:.1} µm \
              across, drift {drift_depth_um:.1} µm and {drift_lateral_um:.1} µm",
             focus.setting_dpt, focus.celsius, focus.between_dpt
         )?;
@@ -125,11 +125,11 @@ fn print(record: &CalibrationRecord, path: &Path) -> anyhow::Result<()> {
         record.depth_sigma_um, record.lateral_sigma_um
     )?;
     if record.simulated == Some(true) {
-        writeln!(out, "SIMULATED BENCH: this head judges nothing at a press")?;
+        writeln!(out, "SIMULATED BENCH: this head cannot be used at a press")?;
     }
     writeln!(
         out,
-        "{}: counts until {}\nnot yet tested: it judges after flankscope calibrate --check {}",
+        "{}: valid until {}\nno self-test yet; checks need one: flankscope calibrate --check {}",
         path.display(),
         record.expires,
         path.display()

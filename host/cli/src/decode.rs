@@ -10,8 +10,8 @@ use flankscope_foundation::order::median_of;
 use flankscope_metrology::io::ply::{Column, Scalar};
 use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_profilometry::decode::{
-    Cloud, ConsistencyOptions, DecodeOptions, Decoder, LightMedians, LightParts, MaskOptions,
-    PatchOptions, PhaseMaps, Rejected,
+    Cloud, ConsistencyOptions, DecodeOptions, Decoder, LightMedians, LightParts, PatchOptions,
+    PhaseMaps, Rejected,
 };
 use flankscope_profilometry::frame_order;
 use flankscope_profilometry::head::HeadModel;
@@ -48,15 +48,10 @@ pub struct Args {
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map].
     #[arg(long, value_enum, value_name = "GRID")]
     grid: Option<Grid>,
-    /// Pixels along the side of a cell of the pixel grid [default: the head's].
-    #[arg(long, value_name = "PIXELS")]
-    binning: Option<usize>,
-    /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels; 0 for none [default: 0.7, cores 0].
+    /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels [default: 0.7, cores 0]. Coarser fringes, which only
+    /// count the finest ones, are smoothed by 2 pixels; 0 smooths neither.
     #[arg(long, value_name = "PIXELS")]
     smooth: Option<f64>,
-    /// The same for the coarser fringes, which only count the finest ones, and for the beats of fine ones [default: 2, cores 0].
-    #[arg(long, value_name = "PIXELS")]
-    smooth_coarse: Option<f64>,
     /// Least contrast (amplitude over mean) of every frequency.
     #[arg(long, value_name = "RATIO", default_value_t = DecodeOptions::IMAGE_CONTRAST)]
     min_contrast: f64,
@@ -74,17 +69,6 @@ pub struct Args {
     /// Drop patches of fewer connected cells; 0 keeps all.
     #[arg(long, value_name = "CELLS", default_value_t = DecodeOptions::IMAGE_PATCH)]
     min_patch: usize,
-    /// Mask: least standard deviation over the finest frequency's steps, in counts.
-    #[arg(long, value_name = "DN")]
-    mask_threshold: Option<f64>,
-    /// Mask: sigma of the Gaussian over the standard deviation, in camera pixels.
-    #[arg(
-        long,
-        value_name = "PIXELS",
-        default_value_t = 3.0,
-        requires = "mask_threshold"
-    )]
-    mask_smooth: f64,
     /// Write light straight from the projector and over other ways at every point, too (properties direct and global, electrons).
     #[arg(long)]
     light_parts: bool,
@@ -224,7 +208,6 @@ const NOTABLE_NOISE_RATIO: f64 = 1.5;
 fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {
     let consistency = args.frame_consistency;
     DecodeOptions {
-        binning: args.binning.unwrap_or(defaults.binning),
         min_contrast: args.min_contrast,
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
@@ -232,11 +215,10 @@ fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {
             .map(ConsistencyOptions::for_images)
             .or(defaults.consistency),
         smoothing_px: args.smooth.unwrap_or(defaults.smoothing_px),
-        coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
-        mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
-            threshold_dn,
-            smoothing_px: args.mask_smooth,
-        }),
+        coarse_smoothing_px: match args.smooth {
+            Some(0.0) => 0.0,
+            _ => defaults.coarse_smoothing_px,
+        },
         patches: defaults
             .patches
             .filter(|_| args.min_patch > 0)

@@ -26,18 +26,12 @@ pub struct Args {
     cloud: PathBuf,
     #[command(flatten)]
     cloud_unit: CloudUnit,
-    /// Distance to the surface itself (exact, signed), or to the nearest of random points on it (the article's, unsigned).
+    /// Distance to the surface itself (exact, signed), or to the nearest of 100 000 random points on it (the article's, unsigned).
     #[arg(long, value_enum, default_value_t = Metric::Surface)]
     metric: Metric,
     /// Order of the Minkowski distance, a number from 1 on or inf, for `--metric nearest`.
     #[arg(long, value_name = "P", default_value_t = Order::Two)]
     order: Order,
-    /// Number of random surface points, for `--metric nearest`.
-    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
-    samples: u32,
-    /// Seed of the random surface points, for `--metric nearest`.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    seed: u64,
     /// The cloud in its order with `deviation` of every point in mm, as binary PLY, or as arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -69,6 +63,9 @@ struct Elapsed {
     write: f64,
 }
 
+/// Number of random surface points of `--metric nearest`: the article's.
+const NEAREST_SAMPLES: usize = 100_000;
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.metric == Metric::Surface && args.order != Order::Two {
@@ -89,8 +86,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             (deviation::deviations(&surface, &cloud.points), prepared)
         }
         Metric::Nearest => {
-            let samples =
-                sampling::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
+            let samples = sampling::sample(&mesh, NEAREST_SAMPLES, 0).with_context(cad)?;
             let tree = deviation::SampleTree::new(&samples).with_context(cad)?;
             let prepared = Instant::now();
             (tree.distances(&cloud.points, args.order), prepared)

@@ -228,7 +228,7 @@ impl Args {
                     return findings;
                 };
                 // Only the camera's process is started at a press: the port can be asked without it.
-                let mut findings = self.controller(port, site.settings.client(), site);
+                let mut findings = self.controller(port, ClientSettings::default(), site);
                 let remedy = match site.settings.camera.command.is_empty() {
                     true => BENCH_REMEDY,
                     false => CAMERA_REMEDY,

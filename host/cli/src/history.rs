@@ -135,7 +135,7 @@ fn print_table(
     let wide = widest(forecasts.iter().map(|of| &of.id));
     writeln!(
         out,
-        "{:>5}  {:<wide$}  figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, 95 of 100 do more  changes at check",
+        "{:>5}  {:<wide$}  figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, at least (95 %)    changes at check",
         words.number, words.one
     )?;
     for o in forecasts {

@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.try_places(report)?;
     anyhow::ensure!(
         args.save_frames.is_none() || !site.settings.stages.poses.is_some(),
-        "--save-frames with [stages.poses]: a recording says where the stages stood, not what was said of the camera"
+        "--save-frames with [stages.poses]: a recording contains positions of the stages, but no poses of the camera from elsewhere"
     );
     let seals = seals()?;
     let mut complaints = Complaints::default();

@@ -50,7 +50,7 @@ pub struct Source {
     /// Judge what was lost since this baseline instead of the deviation from CAD
     #[arg(long, value_name = "FILE")]
     pub baseline: Option<PathBuf>,
-    /// Store every check in this file, made where there is none; a check that cannot be stored is no go [default: nothing is
+    /// Store every check in this file, made where there is none; a check that cannot be stored is not go [default: nothing is
     /// stored]
     #[arg(long, value_name = "FILE")]
     pub history: Option<PathBuf>,
@@ -220,7 +220,7 @@ pub fn recorded_check(
     fits_recording(bench)?;
     anyhow::ensure!(
         source.adaptive.is_none(),
-        "--adaptive with --frames: nothing is shown, the frames are there"
+        "--adaptive with --frames: no patterns are projected for recorded frames"
     );
     let store = source.store(site)?;
     let files = [source.tool.as_deref(), source.head.as_deref()];
@@ -300,7 +300,7 @@ impl<J> Instrument<J> {
             return Ok(Self {
                 job,
                 port: bench.port().to_path_buf(),
-                settings: interrupted(bench.client_settings(&site.settings))?,
+                settings: interrupted(bench.client_settings())?,
                 head: None,
                 bench: Some(bench),
                 _camera: None,
@@ -316,7 +316,7 @@ impl<J> Instrument<J> {
         Ok(Self {
             job,
             port: port.clone(),
-            settings: interrupted(site.settings.client())?,
+            settings: interrupted(ClientSettings::default())?,
             head: None,
             bench: None,
             _camera: camera,
@@ -489,7 +489,7 @@ pub fn seals() -> anyhow::Result<Seals> {
         Err(error) => error,
     };
     say(&format!(
-        "{error}; what this run writes is signed by a key that ends with it"
+        "{error}; results of this run are signed with a temporary key"
     ));
     Ok(Seals::passing()?)
 }

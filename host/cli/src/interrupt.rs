@@ -32,11 +32,13 @@ pub fn on_signals() -> anyhow::Result<Interrupt> {
             if number > 0 {
                 leave("ended at once");
             }
-            say("stopping: the head comes out, what was measured is kept; once more ends at once");
+            say(
+                "stopping: the head is retracted, and results so far are kept; interrupt again to end at once",
+            );
             interrupter.interrupt();
             thread::spawn(|| {
                 thread::sleep(PATIENCE);
-                leave("ended in the middle of an evaluation: what was stored before is kept");
+                leave("ended during an evaluation: what was stored before is kept");
             });
         }
     };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::controller::ClientSettings;
-use flankscope_instrument::settings::{Stages, StationSettings};
+use flankscope_instrument::settings::Stages;
 use flankscope_record::origin::Link;
 
 use crate::scene::Scene;
@@ -106,7 +106,7 @@ impl Bench {
         match *self {}
     }
 
-    pub fn client_settings(&self, _: &StationSettings) -> ClientSettings {
+    pub fn client_settings(&self) -> ClientSettings {
         match *self {}
     }
 

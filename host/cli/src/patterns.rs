@@ -53,12 +53,9 @@ impl From<Stored> for Packing {
 pub struct Args {
     #[arg(long, value_name = "HEAD.toml", help = help::PATTERNS_HEAD)]
     head: Option<PathBuf>,
-    /// Only this set, such as insitu12 or high12 [default: all of them]
-    #[arg(long, value_name = "NAME")]
+    /// Only this set, such as insitu12 or high12, or that of a plan file: what ends in .toml is one [default: all of them]
+    #[arg(long, value_name = "NAME|PLAN.toml")]
     set: Option<String>,
-    /// The set of a plan file instead
-    #[arg(long, value_name = "PLAN.toml", conflicts_with = "set")]
-    plan: Option<PathBuf>,
     /// Images for one view of this tool, which light left flanks, right flanks and the rest in passes of their own
     #[arg(long, value_name = "TOOL", requires = "tooth")]
     adaptive: Option<PathBuf>,
@@ -73,7 +70,7 @@ pub struct Args {
         allow_hyphen_values = true
     )]
     height: Option<f64>,
-    /// How far a pass reaches beyond its flanks, mm: what the pose may be off before the first frame
+    /// Margin of a pass around its flanks, mm: largest error of the pose before the first frame
     #[arg(
         long,
         value_name = "MM",
@@ -133,11 +130,11 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
         .pack
         .map_or_else(|| Packing::of(head.mirrors()), Packing::from);
     args.mirrors(&head)?;
-    let set = match (&args.set, &args.plan) {
-        (None, None) => head
+    let set = match &args.set {
+        None => head
             .patterns()?
-            .context("the head file names no pattern_set: choose one with --set or --plan")?,
-        _ => args.sets(&head)?.swap_remove(0),
+            .context("the head file names no pattern_set: choose one with --set")?,
+        Some(_) => args.sets(&head)?.swap_remove(0),
     };
     let mut views = ViewPlan::nominal(&tool, &[tooth])?;
     let mut view = views.swap_remove(0);
@@ -222,8 +219,9 @@ impl Args {
     }
 
     fn sets(&self, head: &HeadModel) -> anyhow::Result<Vec<PatternSet>> {
-        if let Some(path) = &self.plan {
-            let mut set = Plan::load(path)?.patterns;
+        let plan = self.set.as_deref().filter(|set| set.ends_with(".toml"));
+        if let Some(path) = plan {
+            let mut set = Plan::load(Path::new(path))?.patterns;
             if set.name.is_empty() || set.name.contains(['/', '\0']) || set.name.starts_with('.') {
                 set.name = "plan".into();
             }

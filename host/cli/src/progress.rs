@@ -50,7 +50,7 @@ impl Watcher {
             Progress::Exposed { .. } => return,
             Progress::Recapture(view) => format!("{} is captured again", self.name(view)),
             Progress::Repeat(view) => format!(
-                "{} is too near to a limit, it is measured again",
+                "{} is too near to a limit and is measured again",
                 self.name(view)
             ),
             Progress::Retracting => "head retracts".into(),

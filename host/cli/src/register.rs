@@ -19,7 +19,7 @@ use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
 use crate::geometry::{
-    Cad, CadArgs, CloudUnit, FileUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
+    Cad, CadArgs, CloudUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
 };
 use crate::output::{Common, Outcome};
 
@@ -39,14 +39,6 @@ pub struct Args {
     /// through its 20 nearest neighbours.
     #[arg(long, value_name = "CLOUD")]
     reference: Option<PathBuf>,
-    /// Unit of that cloud; the formats do not say.
-    #[arg(
-        long,
-        value_name = "UNIT",
-        default_value = "mm",
-        requires = "reference"
-    )]
-    reference_unit: FileUnit,
     /// Cloud: PLY, arrays (.npz) or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
@@ -62,12 +54,6 @@ pub struct Args {
     /// first, points up to 7.5 times lie on the surface after the fit, a direction is observed below half of it.
     #[arg(long, value_name = "MM", default_value_t = TYPICAL_NOISE_MM, value_parser = positive_mm)]
     noise_mm: f64,
-    /// Points farther from the surface than this take no part; instead of 250 times the noise.
-    #[arg(long, value_name = "MM", value_parser = positive_mm)]
-    capture_mm: Option<f64>,
-    /// Points farther from the surface than this after the fit do not lie on it; instead of 7.5 times the noise.
-    #[arg(long, value_name = "MM", value_parser = positive_mm)]
-    inlier_mm: Option<f64>,
     /// Least share of the points that must lie on the surface after the fit, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     least_inliers: f64,
@@ -236,7 +222,7 @@ impl Args {
             self.method == Method::Surface,
             "--method paper draws its points on a mesh: name one by --cad instead of --reference"
         );
-        let other = load_cloud(reference, self.reference_unit)?;
+        let other = load_cloud(reference, self.cloud_unit)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
         let initial = self.start_pose()?;
         let loaded = Instant::now();
@@ -255,14 +241,11 @@ impl Args {
     }
 
     fn options(&self, initial: Rigid<Tool, Cloud>, teeth: Option<u32>) -> Options {
-        let scaled = Options::for_noise(self.noise_mm);
         Options {
             initial,
             teeth,
-            capture_mm: self.capture_mm.unwrap_or(scaled.capture_mm),
-            most_inlier_mm: self.inlier_mm.unwrap_or(scaled.most_inlier_mm),
             least_inlier_ratio: self.least_inliers,
-            ..scaled
+            ..Options::for_noise(self.noise_mm)
         }
     }
 

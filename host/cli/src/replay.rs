@@ -12,7 +12,7 @@ use serde_json::json;
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{self, seals};
-use crate::output::{Common, Outcome};
+use crate::output::{Common, Outcome, say};
 
 /// Compute a stored verdict again from its phasors, and name whatever is not the same to the last bit.
 ///
@@ -32,7 +32,7 @@ pub struct Args {
     /// Number of the check
     #[arg(required_unless_present = "all")]
     id: Option<i64>,
-    /// Every check of the history: its chain, its rows against their documents, and what still has its phasors computed again
+    /// Verify the whole history: its chain, every row against its document, and every verdict whose phasors are stored
     #[arg(long, conflicts_with = "id")]
     all: bool,
     #[arg(long, value_name = "DIR", help = help::TOOL)]
@@ -56,6 +56,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         args.head.as_deref(),
         args.station.as_deref(),
     )?;
+    if args.tool.is_none() && !args.common.quiet {
+        say(&format!(
+            "tool     {} (built in); --tool DIR for checks of another die",
+            subject.tool.name
+        ));
+    }
     let Some(id) = args.id else {
         return all(args, &history, &subject);
     };
@@ -111,7 +117,7 @@ fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outc
         }
         writeln!(
             out,
-            "{} checks, chain whole; {replayed} computed again, of {given_up} the phasors were given up; {} differ",
+            "{} checks, chain intact; {replayed} recomputed, {given_up} no longer have phasors; {} differ",
             ids.len(),
             differing.len()
         )?;

@@ -10,15 +10,14 @@ use flankscope_foundation::seal::Seal;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::{RecordedFrames, recording_id};
 use flankscope_jobs::scan::{
-    CloudIndex, CloudRecording, CloudScan, Grid, Method, Progress, Scan, ScanError, Scanner,
-    percent,
+    CloudIndex, CloudRecording, CloudScan, Grid, Method, Progress, ScanError, Scanner,
 };
 use flankscope_jobs::subject::Subject;
-use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::kinematics::Moves;
 use flankscope_metrology::multiview::form::Form;
 use flankscope_record::document::ViewStatus;
+use flankscope_record::document::scan::{Scan, ScanRegistration, percent};
 use flankscope_record::origin::Link;
 use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
@@ -43,8 +42,8 @@ use crate::terminal::Terminal;
     long_about = help::SCAN,
     after_help = format!(
         "{}\n\n\
-        A verdict is for the teeth and heights of --views, and says what share of the bore that is. Less seen than asked for is\n\
-    indeterminate. With --tool the link is named.\n\n\
+        The verdict covers the teeth and heights of --views, and states their share of the bore. If less was measured than\n\
+    requested, it is indeterminate. With --tool the link is named.\n\n\
     Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn",
         help::SCAN_EXAMPLE
     )
@@ -70,7 +69,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
     /// Scan the clouds in this folder, which were recorded before, as its clouds.toml says: points of every view in the camera's
-    /// frame, without their frames. They lay the map; no flank is found sound by them
+    /// frame, without their frames. They give a map, but no flank can be judged go
     #[arg(long, value_name = "DIR", conflicts_with = "frames")]
     clouds: Option<PathBuf>,
     /// Also write the cloud of every view, with the uncertainty of every point, into this folder, for --clouds later
@@ -79,11 +78,11 @@ pub struct Args {
     /// Also write every frame of this scan into this folder, for --frames later: the camera's raw counts, 4.6 MB each
     #[arg(long, value_name = "DIR", conflicts_with_all = ["frames", "clouds"])]
     save_frames: Option<PathBuf>,
-    /// Result of an earlier scan of this die (its --json file or report folder): says whether the die was put down turned
-    /// by whole teeth since, by what its flanks have of their own
+    /// Result of an earlier scan of this die (its --json file or report folder): finds out whether the die was rotated by
+    /// whole teeth since, from the deviations of its flanks
     #[arg(long, value_name = "SCAN.json")]
     reference: Option<PathBuf>,
-    /// Keep every view in this folder, and go on with what is there [default: a folder that is gone afterwards]
+    /// Keep every view in this folder, and continue the scan that is there [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     session: Option<PathBuf>,
     /// Write report.html, scan.json and map.ply into this folder
@@ -103,9 +102,6 @@ pub struct Args {
     /// in the report
     #[arg(long)]
     gear: bool,
-    /// Also unroll and subtract as the article proposes, and say how far that is from the exact deviations
-    #[arg(long)]
-    raster: bool,
     /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
     /// the article's figures beside ours
     #[arg(long, value_enum, default_value_t = MethodName::Surface)]
@@ -222,7 +218,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             let scan = instrument.job.scan(port, settings, watch);
             let scan = scan.map_err(|error| match error {
                 ScanError::Interrupted { done, of, .. } if passing.is_some() => anyhow::anyhow!(
-                    "interrupted after {done} of {of} views; none is kept: with --session DIR a scan goes on where it was"
+                    "interrupted after {done} of {of} views; none was kept; with --session DIR a scan can be continued"
                 ),
                 error => error.into(),
             })?;
@@ -239,8 +235,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     };
     // The verdict is final; it is printed and returned even if reports cannot be written.
-    if args.report.is_some() || args.raster {
-        let compared = scanning.scanner().compare(&mut scan, args.raster);
+    if args.report.is_some() {
+        let compared = scanning.scanner().compare(&mut scan);
         complaints.hear(compared.map_err(Into::into));
     }
     if args.gear {
@@ -447,8 +443,7 @@ fn show(progress: Progress) {
 
 fn print(scan: &Scan) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    let registered =
-        |r: &&flankscope_jobs::scan::ScanRegistration| r.status == ViewStatus::Registered;
+    let registered = |r: &&ScanRegistration| r.status == ViewStatus::Registered;
     writeln!(
         out,
         "\n{} of {} views, {} % of the bore seen, {}",
@@ -465,19 +460,6 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
             out,
             "ovality {:.1} µm (largest at {:.0}°), taper {:.1} µm",
             form.ovality_um, form.ovality_deg, form.taper_um
-        )?;
-    }
-    if let Some(error) = scan.metrics.as_ref().and_then(|m| m.raster.as_ref()) {
-        let spread = |of: &Option<Statistics>| {
-            of.map_or("-".into(), |s| {
-                format!("{:.1} ± {:.1} µm", 1e3 * s.mean_mm, 1e3 * s.std_mm)
-            })
-        };
-        writeln!(
-            out,
-            "cylinder raster against the exact distance: {} on lands, {} on flanks",
-            spread(&error.lands),
-            spread(&error.flanks)
         )?;
     }
     if let Some(placement) = &scan.placement {

@@ -20,7 +20,7 @@ use crate::help;
 pub struct Place {
     #[arg(long, value_name = help::LINK_VALUES, help = help::LINK)]
     link: Option<Link>,
-    /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
+    /// Name of this station, stated in every result, or its settings file (.toml) [default: the host's name]
     #[arg(long, value_name = "NAME|STATION.toml")]
     station: Option<String>,
 }
@@ -201,8 +201,7 @@ impl Site {
         let made = head.calibration.as_ref();
         if let Some(board) = made.and_then(|made| made.board.as_ref()) {
             anyhow::bail!(
-                "head \"{}\" was calibrated by an ordinary board, which does not tell {}: it measures clouds (flankscope decode), but \
-                 judges nothing; calibrate it by a target of certified plates (flankscope calibrate --target DIR -o HEAD.toml)",
+                "head \"{}\" was calibrated by an ordinary board, which does not determine {}: it can be used by flankscope decode, but not for checks; calibrate it by a target of certified plates (flankscope calibrate --target DIR -o HEAD.toml)",
                 head.name,
                 board.unknown.join(", ")
             );

@@ -27,7 +27,7 @@ pub struct Args {
     /// Baseline, head file, self-test, scan, session manifest or history
     #[arg(requires = "name")]
     files: Vec<PathBuf>,
-    /// Who says so: it is shown with every result
+    /// Name of the person who accepts the files; every result states it
     #[arg(long, value_name = "WHO")]
     name: Option<String>,
     #[command(flatten)]
@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             let mut out = std::io::stdout().lock();
             writeln!(
                 out,
-                "{}: this {what} is believed as it is, says {name}",
+                "{}: this {what} is accepted as it is, by {name}",
                 plain(&file.to_string_lossy())
             )?;
         }

@@ -25,8 +25,8 @@ use crate::terminal::Terminal;
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
 /// A no-go stays until it is acknowledged: write a line to standard input, your name for example. With a history it stays
-/// even when this program is stopped and started again. Every verdict goes to the press, and falls to
-/// no-go there when this program stops.
+/// even when this program is stopped and started again. Every verdict is sent to the
+/// press, which treats it as no-go when this program stops.
 #[derive(clap::Args)]
 #[command(
     after_help = format!(
@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     )?;
     if interrupt::is_requested() {
         say(&format!(
-            "interrupted after {} checks; the press takes what nobody repeats for a no-go",
+            "interrupted after {} checks; verdicts are no longer sent, which the press treats as no-go",
             log.count
         ));
     }
@@ -175,14 +175,14 @@ impl<'a> Log<'a> {
                 self.say(&format!("cycle {cycle}: press held, checking"))
             }
             WatchEvent::Missed(cycle, fault) => self.say(&format!(
-                "cycle {cycle}: not let in ({fault}), next opening"
+                "cycle {cycle}: no check, the press did not admit the head ({fault}); next try at the next opening"
             )),
             WatchEvent::Resumed(shown) => self.say(&format!(
-                "{} from before stays until it is acknowledged (press Enter)",
+                "{} of an earlier check stays until it is acknowledged (press Enter)",
                 shown.word()
             )),
             WatchEvent::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
-            WatchEvent::Acknowledged => self.say("acknowledged: the next check starts afresh"),
+            WatchEvent::Acknowledged => self.say("acknowledged: the next check decides anew"),
             WatchEvent::Checked(mut checked) => self.keep(&mut checked),
         }
         true

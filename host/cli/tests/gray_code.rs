@@ -70,7 +70,7 @@ impl Rig {
             self.text("dmd"),
         );
         let wrote = flankscope(&[
-            "patterns", "--head", &head, "--plan", &plan, "-o", &out, "-q",
+            "patterns", "--head", &head, "--set", &plan, "-o", &out, "-q",
         ]);
         let error = String::from_utf8_lossy(&wrote.stderr);
         assert!(wrote.status.success(), "{error}");
@@ -168,22 +168,8 @@ impl Rig {
         let [images, plan, head, cloud] =
             ["frames", "PLAN.toml", "head.toml", "cloud.ply"].map(|name| self.text(name));
         flankscope(&[
-            "decode",
-            "--images",
-            &images,
-            "--plan",
-            &plan,
-            "--head",
-            &head,
-            "-o",
-            &cloud,
-            "--json",
-            "-",
-            "-q",
-            "--smooth",
-            "0",
-            "--smooth-coarse",
-            "0",
+            "decode", "--images", &images, "--plan", &plan, "--head", &head, "-o", &cloud,
+            "--json", "-", "-q", "--smooth", "0",
         ])
     }
 

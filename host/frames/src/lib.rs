@@ -22,6 +22,19 @@
 //! * It looks for an [`Arm`] before it labels an exposure, and counts by [`Labels`].
 //! * Every exposure has the next counter value, from 0, whether its frame is delivered or not: a gap is a lost frame.
 //! * Every frame has the same size; nothing is allocated after the first.
+//!
+//! How a camera process labels its exposures:
+//!
+//! ```
+//! use flankscope_frames::{Arm, FrameLabel, Labels};
+//!
+//! // One view of three patterns in one exposure step: a dark frame comes first.
+//! let mut labels = Labels::default();
+//! labels.arm(Arm { session: 7, first_view: 0, views: 1, exposures: 1, patterns: 3 });
+//! let patterns: Vec<u16> = (0..4).map(|_| labels.take().1.pattern).collect();
+//! assert_eq!(patterns, [0, 1, 2, 3]);
+//! assert_eq!(labels.take(), (7, FrameLabel::BEYOND));
+//! ```
 
 pub mod arm;
 pub mod conformance;

@@ -24,7 +24,7 @@
 //! of pixels, or a core of the fibre bundle; the instrument's geometry comes from [`head::HeadModel`], the
 //! projected patterns from [`pattern::PatternSet`]. [`decode::Decoder`] joins them and is made once per head.
 //!
-//! Depends on nothing of the instrument: `station` and `cli` use it, it uses neither, and it does not know `metrology`.
+//! It knows neither the instrument nor `metrology`.
 //!
 //! ```
 //! use flankscope_profilometry::{decode::{DecodeOptions, Decoder}, head::HeadModel, frame::{FrameKind, FrameView}, pattern::PatternSet};

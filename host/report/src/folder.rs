@@ -19,8 +19,8 @@ use flankscope_metrology::verdict::Word;
 use super::tables;
 use flankscope_article::Article;
 use flankscope_foundation::files::{make_folder_within, stream_whole, write_whole};
-use flankscope_jobs::scan::Scan;
 use flankscope_record::document::Inspection;
+use flankscope_record::document::scan::Scan;
 use flankscope_record::sink::{ResultSink, SinkError, document_text};
 
 /// Name of the newest page.

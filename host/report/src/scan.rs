@@ -10,7 +10,7 @@ use flankscope_metrology::verdict::Word;
 
 use super::plot::{Axes, Scale, Series, binned};
 use super::{Fact, bars, chart, colour, facts, figure, ring};
-use flankscope_jobs::scan::{
+use flankscope_record::document::scan::{
     Adjustment, Metrics, OppositeTeeth, Scan, ScanRegistration, StageErrors, percent,
 };
 use flankscope_record::document::{Feature, ViewStatus};
@@ -47,7 +47,6 @@ struct Page<'a> {
     coverage: String,
     coverage_bar: String,
     quality: Option<Quality>,
-    raster: Option<String>,
     worst: Vec<&'a Feature>,
     spacing: Vec<&'a OppositeTeeth>,
     lost: Vec<(usize, &'a str)>,
@@ -139,7 +138,6 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         ),
         coverage_bar: chart::amount_bar(most_views.max(1).into(), "views of a cell"),
         quality: quality(scan),
-        raster: scan.metrics.as_ref().and_then(|m| raster(scan, m, full_um)),
         worst,
         spacing,
         lost: lost
@@ -505,18 +503,4 @@ fn quality(scan: &Scan) -> Option<Quality> {
         picture: colour::rgb_data_uri(side, side, &pixels),
         bar: chart::amount_bar(worst_um.max(1.0), "standard uncertainty / µm"),
     })
-}
-
-fn raster(scan: &Scan, metrics: &Metrics, full_um: f64) -> Option<String> {
-    metrics.raster.as_ref()?;
-    let of = |index: usize| {
-        let mm = metrics.raster_mm.get(index).copied().flatten()?;
-        Some(colour::diverging(mm * 1e3 / full_um))
-    };
-    Some(unrolled(
-        scan,
-        "Unrolled and subtracted",
-        Scale::Deviation(full_um),
-        of,
-    ))
 }

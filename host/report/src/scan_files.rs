@@ -8,7 +8,7 @@ use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap};
 
 use super::colour;
 use super::scan::full_scale_um;
-use flankscope_jobs::scan::Scan;
+use flankscope_record::document::scan::Scan;
 
 /// Writes every cell of the map as its measured point: normal of the CAD, deviation and standard uncertainty in mm, number of
 /// views, and the report's colour.

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::gear::evaluation::TraceFigures;
 
-use flankscope_jobs::scan::{Scan, ScanGear};
+use flankscope_record::document::scan::{Scan, ScanGear};
 use flankscope_record::document::{Feature, Inspection};
 
 fn number(value: Option<f64>) -> String {

@@ -68,7 +68,7 @@ pub enum ControllerKind {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Simulated bench")]
 pub struct BenchFileArgs {
-    /// What else the bench is to be: form of the die, errors of stages and lenses, faults of the camera; `flankscope bench example`
+    /// Further settings of the bench: form of the die, errors of stages and lenses, faults of the camera; `flankscope bench example`
     /// writes such a file
     #[arg(long, value_name = "BENCH.toml")]
     bench: Option<PathBuf>,
@@ -99,11 +99,11 @@ pub struct DieArgs {
     /// ring (the whole toothing)
     #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
     wear: Vec<Given<Wear>>,
-    /// This mesh stands there instead of the CAD: PLY or STL, in mm and in the frame of the CAD, open or closed, up to five
+    /// Mesh of the die on the bench, instead of the CAD: PLY or STL, in mm and in the frame of the CAD, open or closed, up to five
     /// million triangles; it is the die as it is, so no wear can be added
     #[arg(long, value_name = "FILE", conflicts_with = "wear")]
     die_mesh: Option<PathBuf>,
-    /// What the die's surface is: matt spray, ground steel, steel polished by use, or ground steel under oil
+    /// Surface of the die: matt spray, ground steel, steel polished by use, or ground steel under oil
     #[arg(long, value_name = "KIND", value_enum, default_value_t)]
     surface: SurfaceKind,
 }

@@ -51,9 +51,6 @@ pub enum Command {
     after_help = "Example: flankscope bench esp301, then open the printed port at any speed and say 1MO;1PA10;1WS;1TP?"
 )]
 pub struct Esp301Args {
-    /// Seed of the stage errors.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Given<Speed>,
@@ -104,7 +101,7 @@ impl Farewell {
         let late_ms = self.held_ms + self.lagged_ms;
         (late_ms > 20.0).then(|| {
             format!(
-                "the bench lagged {late_ms:.0} ms behind real time (its rendering {:.0} ms); its clock stood still meanwhile",
+                "the bench lagged {late_ms:.0} ms behind real time (rendering: {:.0} ms); its clock was paused for that time",
                 self.held_ms
             )
         })
@@ -136,7 +133,7 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
 
 fn stages(args: &Esp301Args) -> anyhow::Result<()> {
     let Speed(speed) = args.speed.value;
-    let stages = devices::esp301::run(speed, args.seed)?;
+    let stages = devices::esp301::run(speed, 1)?;
     let mut out = std::io::stdout();
     writeln!(out, "{}", stages.port().display())?;
     out.flush()?;

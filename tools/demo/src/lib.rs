@@ -49,9 +49,6 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
-        /// Seed of stage and plate errors, surface grain and noise.
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
     },
 }
 
@@ -63,11 +60,13 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::DemoTool { out, head } => write_tool(out, head.as_ref()),
         Command::DemoTarget { out, head } => write_target(out, head.as_ref()),
-        Command::DemoCaptures { out, seed } => {
+        Command::DemoCaptures { out } => {
+            /// Seed of stage and plate errors, surface grain and noise.
+            const SEED: u64 = 1;
             let target = target();
-            let mut config = target_world(&target, *seed);
-            config.run_seed = *seed;
-            let views = target_views(&target, *seed, &target.beside);
+            let mut config = target_world(&target, SEED);
+            config.run_seed = SEED;
+            let views = target_views(&target, SEED, &target.beside);
             write_captures(out, &config, &views)
         }
     }

@@ -74,8 +74,8 @@ const ROOMS: &[Room] = &[
         INSTRUMENT,
         &[PROTOCOL, FRAMES, FOUNDATION, PROFILOMETRY, METROLOGY],
     ),
-    // What is stored is opened without an instrument.
-    (RECORD, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
+    // What is stored is opened without an instrument; a scan's document has the figures of the article's method, too.
+    (RECORD, &[FOUNDATION, PROFILOMETRY, METROLOGY, ARTICLE]),
     (
         JOBS,
         &[
@@ -91,7 +91,7 @@ const ROOMS: &[Room] = &[
     ),
     (
         REPORT,
-        &[FOUNDATION, PROFILOMETRY, METROLOGY, ARTICLE, RECORD, JOBS],
+        &[FOUNDATION, PROFILOMETRY, METROLOGY, ARTICLE, RECORD],
     ),
     // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (

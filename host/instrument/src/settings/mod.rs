@@ -15,7 +15,6 @@ mod axes;
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 use flankscope_metrology::multiview::adjustment::Local;
@@ -24,7 +23,6 @@ use serde::{Deserialize, Serialize};
 
 pub use axes::{Flow, Home, ParityBit, Rotation, StageLine, Vertical};
 
-use crate::controller::ClientSettings;
 use crate::poses::PoseSettings;
 use flankscope_metrology::kinematics::Moves;
 
@@ -54,15 +52,11 @@ pub struct StationSettings {
 }
 
 /// The controller's port.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Controller {
     /// Serial port, or `sim` or `qemu`, as for `--link`.
     pub link: Option<String>,
-    /// Wait for a reply before the same command is sent again, ms.
-    pub answer_ms: u64,
-    /// Largest delay of triggers and frames, ms.
-    pub stall_ms: u64,
 }
 
 /// The camera's process.
@@ -155,17 +149,6 @@ pub struct Store {
 pub struct Output {
     /// The folder; `--report` overrides it. A relative path starts at the folder of the station file.
     pub folder: Option<PathBuf>,
-}
-
-impl Default for Controller {
-    /// A quarter of a second for an answer: a hundred times a frame's time on the wire.
-    fn default() -> Self {
-        Self {
-            link: None,
-            answer_ms: 250,
-            stall_ms: 2_000,
-        }
-    }
 }
 
 impl Default for Press {
@@ -293,16 +276,6 @@ impl StationSettings {
         Ok(settings)
     }
 
-    /// Timeouts of the controller's client.
-    #[must_use]
-    pub fn client(&self) -> ClientSettings {
-        ClientSettings {
-            answer: Duration::from_millis(self.controller.answer_ms),
-            stall: Some(Duration::from_millis(self.controller.stall_ms)),
-            ..ClientSettings::default()
-        }
-    }
-
     fn check(&self) -> Result<(), BadValue> {
         if self
             .name
@@ -311,7 +284,6 @@ impl StationSettings {
         {
             return Err(BadValue::new("name", "", "a name, or no such line"));
         }
-        self.controller.check()?;
         if self.camera.command.first().is_some_and(String::is_empty) {
             let right = "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]";
             return Err(BadValue::new("camera.command", &self.camera.command, right));
@@ -350,14 +322,6 @@ fn within(
         Ok(())
     } else {
         Err(BadValue::new(key, value, expected))
-    }
-}
-
-impl Controller {
-    fn check(&self) -> Result<(), BadValue> {
-        let wait = "1 to 60000 ms";
-        within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)?;
-        within("controller.stall_ms", self.stall_ms, 1..=60_000, wait)
     }
 }
 
@@ -492,8 +456,8 @@ mod tests {
                 ["station.toml:1: ", "missing field", "acceleration_deg_s2"],
             ),
             (
-                "[controller]\nanswer_ms = \"soon\"\n",
-                ["station.toml:2: ", "string", "u64"],
+                "[press]\nopenings = \"soon\"\n",
+                ["station.toml:2: ", "string", "u32"],
             ),
         ] {
             let error = load(text).unwrap_err();

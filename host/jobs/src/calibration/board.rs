@@ -17,7 +17,7 @@ use flankscope_profilometry::plan::Plan;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, FrameError, HeadModel};
 use serde::Deserialize;
 
-use super::job::{SaveError, write};
+use super::job::{SaveError, VALID_DAYS, write};
 
 /// Why images of an ordinary board do not give a head.
 #[derive(Debug, thiserror::Error)]
@@ -180,16 +180,16 @@ impl BoardFolder {
         adjusted: &BoardAdjusted,
         path: &Path,
         date: Date,
-        valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
         let record = CalibrationRecord::from_board(
             adjusted,
             &self.board,
             self.pitch_sigma_mm,
             date,
-            valid_days,
+            VALID_DAYS,
         );
         let head = HeadModel {
+            name: record.name_of(&adjusted.head.name),
             calibration: Some(record.clone()),
             ..adjusted.head.clone()
         };

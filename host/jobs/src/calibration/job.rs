@@ -310,7 +310,6 @@ impl Calibrated {
         path: &Path,
         link: Option<&Link>,
         date: Date,
-        valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
         save_head(self.adjusted.head.clone(), path, date, |head| {
             CalibrationRecord {
@@ -323,12 +322,15 @@ impl Calibrated {
                     self.hold_out,
                     self.apart,
                     date,
-                    valid_days,
+                    VALID_DAYS,
                 )
             }
         })
     }
 }
+
+/// Days after which a calibration expires.
+pub(crate) const VALID_DAYS: u32 = 180;
 
 /// Writes a head file, and beside it the core map, if it has one, with a record of the head's geometry.
 ///
@@ -348,6 +350,7 @@ pub fn save_head(
         head.cores = Some(reference);
     }
     let record = record(&head);
+    head.name = record.name_of(&head.name);
     head.calibration = Some(record.clone());
     write(path.to_owned(), head.to_toml()?.as_bytes())?;
     Ok(record)

@@ -81,12 +81,6 @@ impl<O: Send + 'static> Job<O> {
         })
     }
 
-    /// Name of the tool.
-    #[must_use]
-    pub fn tool(&self) -> &str {
-        &self.subject.tool.name
-    }
-
     /// Key of the die in a history.
     #[must_use]
     pub fn die(&self) -> DieKey {

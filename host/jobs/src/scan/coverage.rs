@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout};
-use flankscope_metrology::verdict::{Code, Reason};
-use serde::Serialize;
+use flankscope_record::document::scan::{Coverage, Hole};
 
 use flankscope_metrology::view::PlannedView;
 
@@ -17,39 +16,6 @@ pub(super) const LEAST_COVERAGE: f64 = 0.6;
 /// fields leave parts of flanks unmeasured that no neighbouring view shows.
 pub(super) const ASKED_PER_FIELD: f64 = 0.4;
 
-/// Fields that the plan requires: both flanks of every view's middle tooth, over the view's height. A scan applies only to the
-/// teeth and heights of its views.
-#[derive(Clone, Debug, Serialize)]
-pub struct Coverage {
-    /// Number of fields.
-    pub fields: usize,
-    /// Requested teeth that were measured: both flanks, at every requested height.
-    pub teeth: usize,
-    /// Teeth of the gear.
-    pub of_teeth: u32,
-    /// Number of requested heights.
-    pub heights: usize,
-    /// Smallest fraction of a field that must be measured.
-    pub least_ratio: f64,
-    /// Measured fraction of the field with the smallest coverage.
-    pub worst_ratio: f64,
-    /// Fields with less coverage than required.
-    pub holes: Vec<Hole>,
-}
-
-/// A field with too little coverage.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Hole {
-    /// Tooth.
-    pub tooth: u32,
-    /// Side of the tooth.
-    pub flank: Flank,
-    /// Height of the view's middle, mm.
-    pub vertical_mm: f64,
-    /// Fraction that was measured.
-    pub seen_ratio: f64,
-}
-
 /// Number of map cells across a flank between two radii, by the gear's own involute.
 fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
     let [from, to] = radius_mm.map(|r| gear.half_tooth_rad(r.max(gear.base_radius_mm())));
@@ -57,113 +23,72 @@ fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
     (span_rad / std::f64::consts::TAU * layout.columns as f64).max(1.0)
 }
 
-impl Coverage {
-    /// Counts the measured cells of every field between these radii.
-    pub(super) fn of(
-        map: &CylinderMap,
-        gear: &GearData,
-        radius_mm: [f64; 2],
-        planned: &[PlannedView],
-        (field_mm, least_ratio): (f64, f64),
-    ) -> Self {
-        let asked_mm = ASKED_PER_FIELD * field_mm;
-        let layout = map.layout();
-        // Measured cells of every flank by row of the map.
-        let mut seen: BTreeMap<(u32, Flank), Vec<usize>> = BTreeMap::new();
-        for cell in map.cells() {
-            if let (Some(at), Some(row)) = (
-                gear.place(cell.point, cell.normal),
-                layout.row_of(cell.point[2]),
-            ) && (radius_mm[0]..=radius_mm[1]).contains(&at.radius_mm)
-            {
-                let rows = seen
-                    .entry((at.tooth, at.flank))
-                    .or_insert_with(|| vec![0; layout.rows]);
-                rows[row] += 1;
-            }
-        }
-        let [low, high] = layout.height_mm;
-        let row_mm = (high - low) / layout.rows as f64;
-        let across = cells_across(gear, &layout, radius_mm);
-        let ratio = |tooth: u32, flank: Flank, vertical_mm: f64| {
-            let row = |z: f64| ((z - low) / row_mm).clamp(0.0, layout.rows as f64) as usize;
-            let rows = row(vertical_mm - asked_mm)..row(vertical_mm + asked_mm);
-            let all = rows.len().max(1) as f64 * across;
-            let cells = seen.get(&(tooth, flank)).and_then(|of| of.get(rows));
-            let cells = cells.map_or(0, |cells| cells.iter().sum::<usize>());
-            (cells as f64 / all).min(1.0)
-        };
-        let fields: Vec<Hole> = planned
-            .iter()
-            .flat_map(|view| Flank::BOTH.map(|flank| (view.tooth, flank, view.vertical_mm)))
-            .map(|(tooth, flank, vertical_mm)| Hole {
-                tooth,
-                flank,
-                vertical_mm,
-                seen_ratio: ratio(tooth, flank, vertical_mm),
-            })
-            .collect();
-        let worst_ratio = fields.iter().map(|field| field.seen_ratio);
-        let worst_ratio = worst_ratio.reduce(f64::min).unwrap_or(0.0);
-        let mut heights: Vec<f64> = planned.iter().map(|view| view.vertical_mm).collect();
-        heights.sort_by(f64::total_cmp);
-        heights.dedup();
-        let mut teeth: BTreeSet<u32> = planned.iter().map(|view| view.tooth).collect();
-        let count = fields.len();
-        let is_hole = |field: &Hole| field.seen_ratio < least_ratio;
-        let holes: Vec<Hole> = fields.into_iter().filter(is_hole).collect();
-        for hole in &holes {
-            teeth.remove(&hole.tooth);
-        }
-        Self {
-            fields: count,
-            teeth: teeth.len(),
-            of_teeth: gear.teeth,
-            heights: heights.len(),
-            least_ratio,
-            worst_ratio,
-            holes,
+/// Counts the measured cells of every field between these radii.
+pub(super) fn coverage(
+    map: &CylinderMap,
+    gear: &GearData,
+    radius_mm: [f64; 2],
+    planned: &[PlannedView],
+    (field_mm, least_ratio): (f64, f64),
+) -> Coverage {
+    let asked_mm = ASKED_PER_FIELD * field_mm;
+    let layout = map.layout();
+    // Measured cells of every flank by row of the map.
+    let mut seen: BTreeMap<(u32, Flank), Vec<usize>> = BTreeMap::new();
+    for cell in map.cells() {
+        if let (Some(at), Some(row)) = (
+            gear.place(cell.point, cell.normal),
+            layout.row_of(cell.point[2]),
+        ) && (radius_mm[0]..=radius_mm[1]).contains(&at.radius_mm)
+        {
+            let rows = seen
+                .entry((at.tooth, at.flank))
+                .or_insert_with(|| vec![0; layout.rows]);
+            rows[row] += 1;
         }
     }
-
-    /// The scope of a verdict, in words. `height_ratio` is the judged fraction of these teeth's height, `bore_ratio` the measured
-    /// fraction of the bore.
-    #[must_use]
-    pub fn looked_at(&self, height_ratio: f64, bore_ratio: f64) -> String {
-        format!(
-            "{} of {} teeth at {} height{} ({} % of their face width), {} % of the bore",
-            self.teeth,
-            self.of_teeth,
-            self.heights,
-            if self.heights == 1 { "" } else { "s" },
-            percent(height_ratio),
-            percent(bore_ratio)
-        )
+    let [low, high] = layout.height_mm;
+    let row_mm = (high - low) / layout.rows as f64;
+    let across = cells_across(gear, &layout, radius_mm);
+    let ratio = |tooth: u32, flank: Flank, vertical_mm: f64| {
+        let row = |z: f64| ((z - low) / row_mm).clamp(0.0, layout.rows as f64) as usize;
+        let rows = row(vertical_mm - asked_mm)..row(vertical_mm + asked_mm);
+        let all = rows.len().max(1) as f64 * across;
+        let cells = seen.get(&(tooth, flank)).and_then(|of| of.get(rows));
+        let cells = cells.map_or(0, |cells| cells.iter().sum::<usize>());
+        (cells as f64 / all).min(1.0)
+    };
+    let fields: Vec<Hole> = planned
+        .iter()
+        .flat_map(|view| Flank::BOTH.map(|flank| (view.tooth, flank, view.vertical_mm)))
+        .map(|(tooth, flank, vertical_mm)| Hole {
+            tooth,
+            flank,
+            vertical_mm,
+            seen_ratio: ratio(tooth, flank, vertical_mm),
+        })
+        .collect();
+    let worst_ratio = fields.iter().map(|field| field.seen_ratio);
+    let worst_ratio = worst_ratio.reduce(f64::min).unwrap_or(0.0);
+    let mut heights: Vec<f64> = planned.iter().map(|view| view.vertical_mm).collect();
+    heights.sort_by(f64::total_cmp);
+    heights.dedup();
+    let mut teeth: BTreeSet<u32> = planned.iter().map(|view| view.tooth).collect();
+    let count = fields.len();
+    let is_hole = |field: &Hole| field.seen_ratio < least_ratio;
+    let holes: Vec<Hole> = fields.into_iter().filter(is_hole).collect();
+    for hole in &holes {
+        teeth.remove(&hole.tooth);
     }
-
-    /// Why the scan cannot be a "go", if so: less was measured than requested.
-    pub(super) fn objection(&self) -> Option<Reason> {
-        let first = self.holes.first()?;
-        let why = format!(
-            "{} of {} planned flank fields were seen to less than {:.0} %; the first is tooth {} {} at {:.1} mm with {:.0} %",
-            self.holes.len(),
-            self.fields,
-            100.0 * self.least_ratio,
-            first.tooth,
-            first.flank,
-            first.vertical_mm,
-            100.0 * first.seen_ratio,
-        );
-        Some(Reason::instrument(Code::Unseen, why))
+    Coverage {
+        fields: count,
+        teeth: teeth.len(),
+        of_teeth: gear.teeth,
+        heights: heights.len(),
+        least_ratio,
+        worst_ratio,
+        holes,
     }
-}
-
-/// A fraction in percent; only a complete one is rounded to 100.
-#[must_use]
-pub fn percent(ratio: f64) -> String {
-    let rounded = (1e3 * ratio).round() / 10.0;
-    let most = if ratio < 1.0 { 99.9 } else { 100.0 };
-    format!("{:.1}", rounded.min(most))
 }
 
 #[cfg(test)]
@@ -247,7 +172,7 @@ mod tests {
     }
 
     fn of(map: &CylinderMap) -> Coverage {
-        Coverage::of(
+        coverage(
             map,
             &gear(),
             gear().active_flank_mm(),
@@ -292,11 +217,5 @@ mod tests {
         let sparse = of(&map(|_, z| !((z / 0.25) as usize).is_multiple_of(3)));
         assert_eq!(sparse.holes.len(), sparse.fields);
         assert!(sparse.objection().is_some());
-    }
-
-    #[test]
-    fn only_all_of_it_is_a_hundred_percent() {
-        let said = [0.0847, 0.9996, 1.0].map(percent);
-        assert_eq!(said, ["8.5", "99.9", "100.0"]);
     }
 }

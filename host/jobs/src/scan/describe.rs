@@ -10,16 +10,16 @@ use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::multiview::spacing::opposite;
 use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
 
-use super::coverage::{Coverage, LEAST_COVERAGE};
+use super::coverage::{LEAST_COVERAGE, coverage};
 use super::flanks::JudgedFlanks;
 use super::job::{ScanError, Scanner};
-use super::result::{
-    Adjustment, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
-};
 use super::stitch::Stitched;
 use crate::inspection::calibration_um;
 use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::view::PlannedView;
+use flankscope_record::document::scan::{
+    Adjustment, Coverage, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+};
 use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 
 /// Smallest fraction of registered views that describes the die.
@@ -45,7 +45,7 @@ impl Scanner {
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let map = &stitched.map;
         let asked = (self.field.width_mm, LEAST_COVERAGE);
-        let coverage = Coverage::of(map, &self.gear, radius_mm, planned, asked);
+        let coverage = coverage(map, &self.gear, radius_mm, planned, asked);
         let views = ViewCount {
             registered: stitched.views.len(),
             planned: planned.len(),

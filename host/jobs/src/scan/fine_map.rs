@@ -6,8 +6,8 @@ use flankscope_metrology::tool::Tool;
 
 use super::cell_observations::Laid;
 use super::full_cloud::registered;
-use super::result::Scan;
 use super::session::{Session, SessionError};
+use flankscope_record::document::scan::Scan;
 
 /// Largest number of cells, at 90 bytes each.
 const MOST_CELLS: f64 = 1.5e7;

@@ -6,8 +6,8 @@ use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_metrology::io::points::Format;
 
-use super::result::Scan;
 use super::session::{Session, SessionError};
+use flankscope_record::document::scan::Scan;
 
 /// Why a cloud was not written.
 #[derive(Debug, thiserror::Error)]

@@ -4,14 +4,11 @@ use std::collections::BTreeMap;
 
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::gear::evaluation::{
-    EvaluationSettings, Gathering, GearEvaluation, GearEvaluationError,
-};
-use serde::Serialize;
+use flankscope_metrology::gear::evaluation::{EvaluationSettings, Gathering, GearEvaluationError};
 
 use super::full_cloud::{points_in_tool, registered};
-use super::result::Scan;
 use super::session::{Session, SessionError};
+use flankscope_record::document::scan::{Scan, ScanGear};
 
 /// Why the gear was not evaluated.
 #[derive(Debug, thiserror::Error)]
@@ -35,31 +32,6 @@ pub enum ScanGearError {
     /// The session folder cannot be read.
     #[error(transparent)]
     Session(#[from] SessionError),
-}
-
-/// Gear evaluation of a scan.
-#[derive(Clone, Debug, Serialize)]
-pub struct ScanGear {
-    /// Expanded uncertainty (95 %) of a deviation, µm, common to all of its points; their scatter is every trace's own `noise_um`.
-    pub u95_um: f64,
-    /// Its contributions: standard uncertainties, µm.
-    pub budget_um: BTreeMap<&'static str, f64>,
-    /// Range over a revolution of the rotary stage's error by the joint solution, as a length along the pitch circle, µm. Views
-    /// are registered to their own teeth, so a cumulative pitch deviation of the die cannot be distinguished from it.
-    pub stage_um: f64,
-    /// Expanded uncertainty of F_p and F_r, µm, including `stage_um`.
-    pub cumulative_u95_um: f64,
-    /// The results.
-    #[serde(flatten)]
-    pub evaluation: GearEvaluation,
-}
-
-impl ScanGear {
-    /// Expanded uncertainty (95 %) of a deviation, µm: the common part, and the scatter of its own points.
-    #[must_use]
-    pub fn u95_with_um(&self, noise_um: f64) -> f64 {
-        self.u95_um.hypot(COVERAGE_95 * noise_um)
-    }
 }
 
 /// Terms of a flank's uncertainty budget that are common to its points and act on its form. Excluded are the term of the die's

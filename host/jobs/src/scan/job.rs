@@ -24,7 +24,6 @@ use super::gear::{self, ScanGearError};
 use super::grid::{Grid, GridError};
 use super::metrics::{self, MetricsError};
 use super::reference::{Reference, ReferenceError};
-use super::result::Scan;
 use super::session::SessionError;
 use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
@@ -40,6 +39,7 @@ use flankscope_instrument::acquisition::{
     AcquisitionError, AfterStop, FrameIndex, Progress as CheckProgress, Run, Stop,
 };
 use flankscope_instrument::controller::{Client, ClientSettings};
+use flankscope_record::document::scan::Scan;
 use flankscope_record::origin::Setting;
 
 /// Why a scan failed.
@@ -323,13 +323,13 @@ impl Scanner {
         Ok(scan)
     }
 
-    /// Adds the article's metrics to a finished scan, and with `raster` its unrolled comparison.
+    /// Adds the article's metrics to a finished scan.
     ///
     /// # Errors
     /// The CAD has no surface where the gear is, or the session folder cannot be read.
-    pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
+    pub fn compare(&self, scan: &mut Scan) -> Result<(), MetricsError> {
         let tool = &self.job.subject.tool;
-        scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
+        scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear)?;
         Ok(())
     }
 

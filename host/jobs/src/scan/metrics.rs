@@ -4,25 +4,19 @@
 //! spacing, so its histogram shows the reference cloud rather than the workpiece. The exact distance is given for comparison.
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
-use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, Statistics, statistics};
+use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, statistics};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::cylinder::CylinderMap;
-use flankscope_metrology::multiview::raster::{self, RasterError};
 use flankscope_metrology::surface::sampling::{Region, SampleError, centre_of_mass};
 use flankscope_metrology::tool::Tool;
-use serde::Serialize;
 
 use super::cell_observations::Laid;
-use super::result::Scan;
 use super::session::{Session, SessionError};
 use flankscope_article::MERGED_PER_MM2;
+use flankscope_record::document::scan::{Metrics, Scan, TwoMetrics};
 
 /// Number of reference points in the article's window of one view.
 const VIEW_SAMPLES: usize = 100_000;
-/// Number of reference points of the raster, per cell of the unrolled bore.
-const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
-/// Tolerance for points on an end face, mm.
-const END_MM: f64 = 1e-6;
 /// Points farther away are excluded in every metric, mm.
 const OUTLIER_MM: f64 = 0.5;
 
@@ -41,45 +35,12 @@ pub enum MetricsError {
     Session(#[from] SessionError),
 }
 
-/// Both metrics on the same points.
-#[derive(Clone, Debug, Serialize)]
-pub struct TwoMetrics {
-    /// Signed distance to the surface.
-    pub exact: Option<Statistics>,
-    /// Distance to the nearest reference point.
-    pub nearest: Option<Statistics>,
-    /// Signed distances, µm.
-    #[serde(skip)]
-    pub exact_um: Vec<f64>,
-    /// Distances to the nearest reference point, µm.
-    #[serde(skip)]
-    pub nearest_um: Vec<f64>,
-}
-
-/// The article's metrics, with the exact distance for comparison.
-#[derive(Clone, Debug, Serialize)]
-pub struct Metrics {
-    /// Number of the view in `one_view`.
-    pub view: usize,
-    /// All points of one view in its final pose.
-    pub one_view: TwoMetrics,
-    /// One point per cell of the map.
-    pub merged: TwoMetrics,
-    /// Difference between the article's unrolled and subtracted map and the exact deviations; only on request.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub raster: Option<RasterError>,
-    /// That map, mm, row by row from the bottom.
-    #[serde(skip)]
-    pub raster_mm: Vec<Option<f64>>,
-}
-
 /// Computes the metrics; `None` if no view was registered.
 pub(super) fn compare(
     scan: &Scan,
     session: &Session,
     tool: &Tool,
     gear: &GearData,
-    with_raster: bool,
 ) -> Result<Option<Metrics>, MetricsError> {
     let registered: Vec<_> = scan
         .registration
@@ -115,27 +76,10 @@ pub(super) fn compare(
     let reference = whole.sample(middle, &tool.mesh, count, 2)?;
     let merged = spread(&points, &exact_mm, &reference)?;
 
-    let mut raster_mm = Vec::new();
-    if with_raster {
-        let layout = scan.map.layout();
-        let cells = (layout.columns * layout.rows) as f64;
-        let count = (RASTER_SAMPLES_PER_CELL * cells).clamp(1.0, 2e7) as usize;
-        let mut reference = whole.sample(middle, &tool.mesh, count, 3)?;
-        // An end face is not part of the toothing.
-        let [low, high] = layout.height_mm;
-        reference.retain(|[_, _, z]| (low + END_MM..high - END_MM).contains(z));
-        raster_mm = raster::subtract(
-            gear.kind,
-            &raster::unroll(&layout, &points),
-            &raster::unroll(&layout, &reference),
-        );
-    }
     Ok(Some(Metrics {
         view,
         one_view,
         merged,
-        raster: with_raster.then(|| raster::compare(&raster_mm, &scan.map)),
-        raster_mm,
     }))
 }
 

@@ -31,7 +31,6 @@
 //! | `fine_map` | the map in cells of a chosen size |
 //! | `gear` | profile, helix and pitch of every tooth |
 //! | `flanks` | the wear of every flank, judged as in a check |
-//! | `result` | the JSON document |
 
 mod bore_size;
 mod cell_observations;
@@ -51,7 +50,6 @@ mod overlaps;
 mod patches;
 mod recorded;
 mod reference;
-mod result;
 mod session;
 mod stitch;
 mod view;
@@ -60,18 +58,12 @@ mod view_pipeline;
 pub use clouds::{
     CloudIndex, CloudRecording, CloudScan, CloudsError, IndexedCloud, SaveCloudsError,
 };
-pub use coverage::{Coverage, Hole, percent};
 pub use fine_map::FineMapError;
 pub use finished::{FinishedScan, FinishedScanError, SectionsError};
 pub use full_cloud::CloudError;
-pub use gear::{ScanGear, ScanGearError};
+pub use gear::ScanGearError;
 pub use grid::{Grid, GridError};
 pub use job::{Method, Progress, ScanError, Scanner};
-pub use metrics::{Metrics, MetricsError, TwoMetrics};
-pub use overlaps::{Step, Steps};
-pub use reference::{Placement, ReferenceError};
-pub use result::{
-    Adjustment, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, StageU95, Stitching,
-};
+pub use metrics::MetricsError;
+pub use reference::ReferenceError;
 pub use session::SessionError;
-pub use view_pipeline::{Kept, Processing, ProcessingError};

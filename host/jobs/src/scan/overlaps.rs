@@ -7,9 +7,9 @@ use flankscope_metrology::multiview::adjustment::{
     CameraPose, Overlap, Solution, ViewInformation, take_off_common,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
+use flankscope_record::document::scan::{Step, Steps};
 use nalgebra::{Point3, Vector6};
 use rayon::prelude::*;
-use serde::Serialize;
 
 use super::patches::Patches;
 use super::session::SessionError;
@@ -81,60 +81,38 @@ fn follows(view: &ViewInformation, other: &ViewInformation) -> bool {
     }
 }
 
-/// Steps between overlapping views: mean differences of their deviations over the common cells.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Steps {
-    /// Between views of a layer.
-    pub around: Option<Step>,
-    /// Between layers.
-    pub up: Option<Step>,
-}
-
-/// Steps of one kind.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Step {
-    /// Number of pairs.
-    pub pairs: usize,
-    /// Root mean square of the steps with every view registered to the CAD alone, µm.
-    pub before_um: f64,
-    /// Root mean square of the steps after the overlaps were used, µm.
-    pub after_um: f64,
-}
-
-impl Steps {
-    /// From overlaps between `views`, with the poses of each view (by its number) before and after the overlaps were used.
-    pub(super) fn of(
-        overlaps: &[Overlap],
-        views: &[Laid],
-        before: &BTreeMap<usize, CameraPose>,
-        adjustment: &Solution,
-    ) -> Self {
-        let after: Vec<Vector6<f64>> = (views.iter().enumerate())
-            .map(|(at, (_, info))| info.motion_to(&adjustment.poses[at]))
-            .collect();
-        let before: Vec<Vector6<f64>> = (views.iter().zip(&after))
-            .map(|((view, info), after)| before.get(view).map_or(*after, |p| info.motion_to(p)))
-            .collect();
-        let layer = |at: usize| views[at].1.at.vertical_mm;
-        let of_kind = |same_layer: bool| {
-            let kind = |of: &&Overlap| (layer(of.views[0]) == layer(of.views[1])) == same_layer;
-            let of: Vec<&Overlap> = overlaps.iter().filter(kind).collect();
-            let rms_um = |motions: &[Vector6<f64>]| {
-                let squares = of.iter().map(|of| {
-                    let step_mm = of.step_mm(of.views.map(|at| &motions[at]));
-                    step_mm * step_mm
-                });
-                1e3 * (squares.sum::<f64>() / of.len() as f64).sqrt()
-            };
-            (!of.is_empty()).then(|| Step {
-                pairs: of.len(),
-                before_um: rms_um(&before),
-                after_um: rms_um(&after),
-            })
+/// Steps from overlaps between `views`, with the poses of each view (by its number) before and after the overlaps were used.
+pub(super) fn steps(
+    overlaps: &[Overlap],
+    views: &[Laid],
+    before: &BTreeMap<usize, CameraPose>,
+    adjustment: &Solution,
+) -> Steps {
+    let after: Vec<Vector6<f64>> = (views.iter().enumerate())
+        .map(|(at, (_, info))| info.motion_to(&adjustment.poses[at]))
+        .collect();
+    let before: Vec<Vector6<f64>> = (views.iter().zip(&after))
+        .map(|((view, info), after)| before.get(view).map_or(*after, |p| info.motion_to(p)))
+        .collect();
+    let layer = |at: usize| views[at].1.at.vertical_mm;
+    let of_kind = |same_layer: bool| {
+        let kind = |of: &&Overlap| (layer(of.views[0]) == layer(of.views[1])) == same_layer;
+        let of: Vec<&Overlap> = overlaps.iter().filter(kind).collect();
+        let rms_um = |motions: &[Vector6<f64>]| {
+            let squares = of.iter().map(|of| {
+                let step_mm = of.step_mm(of.views.map(|at| &motions[at]));
+                step_mm * step_mm
+            });
+            1e3 * (squares.sum::<f64>() / of.len() as f64).sqrt()
         };
-        Self {
-            around: of_kind(true),
-            up: of_kind(false),
-        }
+        (!of.is_empty()).then(|| Step {
+            pairs: of.len(),
+            before_um: rms_um(&before),
+            after_um: rms_um(&after),
+        })
+    };
+    Steps {
+        around: of_kind(true),
+        up: of_kind(false),
     }
 }

@@ -20,13 +20,14 @@ use rayon::prelude::*;
 
 use super::cell_observations::Laid;
 use super::job::ScanError;
-use super::overlaps::{Steps, overlaps};
+use super::overlaps::{overlaps, steps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, off_cad, unlike_cad};
 use crate::plan::{FieldOfView, ViewPlan};
 use flankscope_article::{JointSolve, MethodResult};
 use flankscope_metrology::view::PlannedView;
+use flankscope_record::document::scan::Steps;
 
 /// Largest number of rounds of solving and registration, in both phases: for every view alone, then with neighbours.
 const MOST_ROUNDS: usize = 6;
@@ -147,7 +148,7 @@ pub(super) fn stitch(
         settled,
         ..
     } = common;
-    let steps = Steps::of(&pairs, &views, &alone, &adjustment);
+    let steps = steps(&pairs, &views, &alone, &adjustment);
     let adjustment = adjustment.no_surer_than(&sure);
     lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&CameraPose, Vec<CellObservation>)| {

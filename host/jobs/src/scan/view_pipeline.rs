@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use flankscope_metrology::multiview::adjustment::ViewInformation;
 use flankscope_metrology::verdict::Reason;
+use flankscope_profilometry::Decoder;
 use flankscope_profilometry::decode::MaskOptions;
-use flankscope_profilometry::{Accumulator, Decoder, FrameView};
 
 use super::grid::Grid;
 use super::job::ScanError;
@@ -18,7 +18,6 @@ use super::view::{ScannedView, ViewScanner};
 use crate::inspection::InspectError;
 use crate::plan::ViewPlan;
 use crate::subject::Subject;
-use flankscope_instrument::acquisition::ViewError;
 
 /// Masks nothing, but gives every point the fringe modulation around it (smoothed over two fibre cores).
 const FRINGES_ONLY: MaskOptions = MaskOptions {
@@ -132,65 +131,4 @@ impl ViewPipeline {
             },
         })
     }
-}
-
-/// Processes recorded frames without an instrument: summed, registered and stored exactly as in a live scan, which can then
-/// stitch them from the session folder.
-pub struct Processing {
-    pipeline: ViewPipeline,
-    sums: Accumulator,
-}
-
-impl Processing {
-    /// Opens the session folder.
-    ///
-    /// # Errors
-    /// Tool or head lack what the job needs, or the folder belongs to another scan or is damaged.
-    pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let planned = PlannedScan::of(grid, subject)?;
-        let pipeline = ViewPipeline::open(subject, planned, folder, &BTreeMap::new())?;
-        let sums = pipeline.decoder.begin();
-        Ok(Self { pipeline, sums })
-    }
-
-    /// Positions, patterns and exposures of the views.
-    #[must_use]
-    pub fn plan(&self) -> &ViewPlan {
-        &self.pipeline.plan
-    }
-
-    /// Processes the frames of a view, in their order of capture, and stores it if it fits the CAD.
-    ///
-    /// # Errors
-    /// A frame does not fit the plan, or the session folder cannot be written.
-    pub fn view(&mut self, view: usize, frames: &[FrameView<'_>]) -> Result<Kept, ProcessingError> {
-        self.sums.reset();
-        for (frame, kind) in frames.iter().zip(self.pipeline.decoder.capture_order()) {
-            let level = self.sums.add(*frame, kind).map_err(ViewError::from)?;
-            let limit_dn = self.pipeline.decoder.dark_limit_dn();
-            level
-                .check_content(kind, limit_dn)
-                .map_err(ViewError::from)?;
-        }
-        let scanned = self.pipeline.views.scan(view, &self.sums);
-        let kept = self.pipeline.store.keep(view, scanned)?;
-        self.pipeline
-            .store
-            .session
-            .commit()
-            .map_err(ScanError::from)?;
-        Ok(kept)
-    }
-}
-
-/// Why recorded frames were not processed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProcessingError {
-    /// A frame does not fit the plan.
-    #[error(transparent)]
-    Frame(#[from] ViewError),
-    /// Error of the scan's folder, tool or head.
-    #[error(transparent)]
-    Scan(#[from] ScanError),
 }

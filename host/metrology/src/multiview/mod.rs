@@ -4,7 +4,6 @@ pub mod adjustment;
 pub mod cylinder;
 pub mod drift;
 pub mod form;
-pub mod raster;
 pub mod seen_before;
 pub mod spacing;
 pub mod tooth_identity;

@@ -7,6 +7,9 @@ use crate::head::{
 };
 use flankscope_foundation::date::Date;
 
+/// Mark in the name of a head whose values are those of its drawing.
+const DRAWN: &str = ", drawing values";
+
 impl CalibrationRecord {
     /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields, `apart` how well two
     /// projectors go together.
@@ -43,6 +46,16 @@ impl CalibrationRecord {
             second_projector: apart,
             focus: None,
         }
+    }
+
+    /// Name of the calibrated head, which every result states: the name of the head that the calibration started from, the date, and
+    /// the first digits of the hash that identifies the calibrated geometry.
+    #[must_use]
+    pub fn name_of(&self, start: &str) -> String {
+        let ends = [DRAWN, ", calibration "].map(|mark| start.find(mark).unwrap_or(start.len()));
+        let head = &start[..ends[0].min(ends[1])];
+        let id = &self.blake3[..8.min(self.blake3.len())];
+        format!("{head}, calibration {id} of {}", self.date)
     }
 
     /// The record of a head calibrated with an ordinary board; `pitch_sigma_mm` is the standard uncertainty of a certified pitch.

@@ -1,4 +1,4 @@
-//! The documents of checks, which are stored, displayed and used by later checks.
+//! The documents of checks and scans, which are stored, displayed and used by later ones.
 //!
 //! | file | holds |
 //! |---|---|
@@ -7,12 +7,14 @@
 //! | `feature_id` | the flank or patch that a figure is of |
 //! | `flank_in_view` | a flank that was in view but not requested |
 //! | `identity` | how the teeth were numbered: by the operator or by the baseline |
+//! | `scan` | the JSON document of a scan, and the data of its report's pictures |
 
 mod check;
 mod evidence;
 mod feature_id;
 mod flank_in_view;
 mod identity;
+pub mod scan;
 
 pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,

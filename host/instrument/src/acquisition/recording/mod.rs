@@ -98,8 +98,6 @@ pub enum RecordingError {
 /// The frames of one view.
 #[derive(Clone, Debug)]
 pub struct RecordedView {
-    /// Its position in the index, which is the order in which views were captured.
-    pub number: usize,
     images: Vec<(FrameKind, PathBuf)>,
     /// Its other entries in the index.
     said: IndexedView,
@@ -185,7 +183,6 @@ impl Recording {
                     }
                 }
                 Ok(RecordedView {
-                    number: at,
                     images,
                     said: said.clone(),
                 })

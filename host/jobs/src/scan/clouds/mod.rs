@@ -23,7 +23,6 @@ pub use save::SaveCloudsError;
 
 use super::job::{Captured, Progress, ScanError, Scanner};
 use super::recorded::{name_of, planned};
-use super::result::Scan;
 use super::view::ViewScanner;
 use super::view_pipeline::{Kept, PlannedScan};
 use crate::inspection::InspectError;
@@ -32,6 +31,7 @@ use crate::subject::Subject;
 use flankscope_foundation::files;
 use flankscope_frames::monotonic_ns;
 use flankscope_instrument::acquisition::RecordedIndex;
+use flankscope_record::document::scan::Scan;
 use flankscope_record::origin::{RecordingId, Setting};
 
 /// Why recorded clouds cannot be used.

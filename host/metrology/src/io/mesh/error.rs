@@ -117,7 +117,8 @@ pub enum MeshError {
     },
     /// Too small for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: the file is probably in metres; say so with --cad-unit m (tool file: unit = \"m\")"
+        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: {}",
+        if_too_small(.unit)
     )]
     TooSmall {
         /// Diagonal.
@@ -129,7 +130,8 @@ pub enum MeshError {
     },
     /// Too large for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: the file is probably in micrometres or damaged; say so with --cad-unit um (tool file: unit = \"um\")"
+        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: {}",
+        if_too_large(.unit)
     )]
     TooLarge {
         /// Diagonal.
@@ -139,4 +141,57 @@ pub enum MeshError {
         /// Unit assumed.
         unit: Unit,
     },
+}
+
+/// Advice for a mesh that is too small for a die in this unit.
+fn if_too_small(read_in: &Unit) -> &'static str {
+    match read_in {
+        Unit::M => "the file is damaged, or shows no die",
+        Unit::Um => PROBABLY_MM,
+        Unit::Mm | Unit::Inch => {
+            "the file is probably in metres; say so with --cad-unit m (tool file: unit = \"m\")"
+        }
+    }
+}
+
+/// Advice for a mesh that is too large for a die in this unit.
+fn if_too_large(read_in: &Unit) -> &'static str {
+    match read_in {
+        Unit::M | Unit::Inch => PROBABLY_MM,
+        Unit::Mm => {
+            "the file is probably in micrometres; say so with --cad-unit um (tool file: unit = \"um\")"
+        }
+        Unit::Um => "the file is damaged, or shows no die",
+    }
+}
+
+const PROBABLY_MM: &str =
+    "the file is probably in millimetres; say so with --cad-unit mm (tool file: unit = \"mm\")";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mesh_of_impossible_size_is_told_the_unit_that_fits() {
+        for (read_in, small, large) in [
+            (Unit::Mm, "--cad-unit m ", "--cad-unit um "),
+            (Unit::M, "damaged", "--cad-unit mm "),
+            (Unit::Um, "--cad-unit mm ", "damaged"),
+            (Unit::Inch, "--cad-unit m ", "--cad-unit mm "),
+        ] {
+            let small_error = MeshError::TooSmall {
+                diagonal_mm: 1e-3,
+                least_mm: 1.0,
+                unit: read_in,
+            };
+            assert!(small_error.to_string().contains(small), "{small_error}");
+            let large_error = MeshError::TooLarge {
+                diagonal_mm: 1e5,
+                most_mm: 1e4,
+                unit: read_in,
+            };
+            assert!(large_error.to_string().contains(large), "{large_error}");
+        }
+    }
 }

@@ -1,5 +1,17 @@
 //! Result of a scan: the JSON document.
 
+mod coverage;
+mod gear;
+mod metrics;
+mod placement;
+mod stages;
+
+pub use coverage::{Coverage, Hole, percent};
+pub use gear::ScanGear;
+pub use metrics::{Metrics, TwoMetrics};
+pub use placement::Placement;
+pub use stages::{Adjustment, StageErrors, StageU95, Step, Steps};
+
 use std::collections::BTreeMap;
 
 use serde::Serialize;
@@ -7,22 +19,16 @@ use serde::Serialize;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_foundation::seal::Seal;
-use flankscope_metrology::multiview::adjustment::StageSigma;
 use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 
-use super::coverage::Coverage;
-use super::gear::ScanGear;
-use super::metrics::Metrics;
-use super::overlaps::Steps;
-use super::reference::Placement;
+use super::{Feature, FrameCount, Timing, Toothing, ViewStatus};
+use crate::origin::Origin;
 use flankscope_article::{Hinz2019Stitched, MethodResult};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::multiview::form::Form;
-use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
-use flankscope_record::origin::Origin;
 
 /// The complete result of a scan, serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
@@ -79,7 +85,7 @@ pub struct Scan {
     pub placement: Option<Placement>,
     /// Results of the stitching methods, for comparison.
     pub methods: Vec<MethodResult>,
-    /// The article's metrics for the same points; absent unless a report or the raster was requested.
+    /// The article's metrics for the same points; absent unless a report was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
     /// Profile, helix and pitch of every tooth; absent unless requested.
@@ -119,7 +125,7 @@ impl Scan {
     }
 
     /// Sets the standard uncertainty of the mean radius, mm.
-    pub(super) fn take_size_sigma(&mut self, sigma_mm: f64) {
+    pub fn take_size_sigma(&mut self, sigma_mm: f64) {
         self.size_sigma_mm = Some(sigma_mm);
         if let Some(form) = &mut self.form {
             form.size_u95_um = Some(1e3 * COVERAGE_95 * sigma_mm);
@@ -136,7 +142,7 @@ impl Scan {
     }
 
     /// Invalidates all results, including damage, because the die is not that of the CAD.
-    pub(super) fn invalidate(&mut self, why: &Reason) {
+    pub fn invalidate(&mut self, why: &Reason) {
         self.verdict = Word::Indeterminate;
         self.reason = why.to_string();
         self.features.clear();
@@ -146,7 +152,7 @@ impl Scan {
     }
 
     /// The points came without frames, so no flank can be "go". A loss that is proven to exceed its limit stays.
-    pub(super) fn without_frames(&mut self) {
+    pub fn without_frames(&mut self) {
         let why = Reason::instrument(
             Code::NoFrames,
             "clouds do not say what their frames would: whether fringe orders are sure, light came over second surfaces, and all stood \
@@ -165,7 +171,7 @@ impl Scan {
     }
 
     /// Replaces our result by that of the article's method. It states no uncertainty, so there is no verdict and no flank is judged.
-    pub(super) fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
+    pub fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
         let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
         self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
@@ -213,7 +219,7 @@ pub struct OppositeTeeth {
 
 impl OppositeTeeth {
     /// Adds the standard uncertainty of the views' poses, and of the calibration at either tooth, mm.
-    pub(super) fn new(of: Spacing, views_mm: f64, calibration_mm: f64) -> Self {
+    pub fn new(of: Spacing, views_mm: f64, calibration_mm: f64) -> Self {
         let calibration_mm = std::f64::consts::SQRT_2 * calibration_mm;
         let sigma_mm = of.sigma_mm.hypot(views_mm).hypot(calibration_mm);
         Self {
@@ -281,68 +287,4 @@ pub struct Stitching {
     pub relaid_views: usize,
     /// Time of the adjustment, of the repeated registrations, and of the merge, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
-}
-
-/// Common parameters of all views.
-#[derive(Clone, Debug, Serialize)]
-pub struct Adjustment {
-    /// Number of rounds until convergence.
-    pub rounds: usize,
-    /// Whether the solution converged.
-    pub settled: bool,
-    /// Condition number of the information of all views together, in units of the prior.
-    pub condition: f64,
-    /// Combinations of parameters that the views determine less than the prior does, and the prior's fraction.
-    pub weak: Vec<(&'static str, f64)>,
-    /// Steps between overlapping views, before and after the overlaps were used.
-    pub steps: Steps,
-    /// Estimated errors of die, head and stages.
-    pub found: StageErrors,
-}
-
-/// Differences of die, head and stages from their files.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct StageErrors {
-    /// Die off the rotation axis, mm.
-    pub eccentricity_mm: f64,
-    /// Intersections of the rotation axis with the die's lower and upper end, x and y in the tool frame, mm.
-    pub axis_mm: [[f64; 2]; 2],
-    /// Tilt of the die's axis relative to the rotation axis, degrees.
-    pub tilt_deg: f64,
-    /// Rotation of the head relative to its file, degrees, camera axes.
-    pub head_turn_deg: [f64; 3],
-    /// Shift of the head relative to its file, mm, camera axes.
-    pub head_shift_mm: [f64; 3],
-    /// Tilt of the vertical axis relative to the rotation axis, along the wall and towards it, mrad. The second component looks
-    /// like a conical die: the views add nothing to its prior.
-    pub vertical_lean_mrad: [f64; 2],
-    /// Cosine and sine of the encoder's error at one, two and three periods per revolution, millidegrees.
-    pub harmonics_mdeg: [[f64; 2]; 3],
-    /// Expanded uncertainties (95 %) of some of these.
-    pub u95: StageU95,
-}
-
-/// Expanded uncertainties (95 %) of these differences.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct StageU95 {
-    /// Of the eccentricity, mm.
-    pub eccentricity_mm: f64,
-    /// Of the tilt, degrees.
-    pub tilt_deg: f64,
-    /// Of the vertical axis's tilt, mrad.
-    pub vertical_lean_mrad: [f64; 2],
-    /// Of the encoder's harmonics, millidegrees.
-    pub harmonics_mdeg: [[f64; 2]; 3],
-}
-
-impl From<StageSigma> for StageU95 {
-    fn from(sigma: StageSigma) -> Self {
-        let mdeg = |rad: f64| COVERAGE_95 * rad.to_degrees() * 1e3;
-        Self {
-            eccentricity_mm: COVERAGE_95 * sigma.eccentricity_mm,
-            tilt_deg: COVERAGE_95 * sigma.tilt_rad.to_degrees(),
-            vertical_lean_mrad: sigma.vertical_lean_rad.map(|rad| COVERAGE_95 * rad * 1e3),
-            harmonics_mdeg: sigma.harmonics_rad.map(|pair| pair.map(mdeg)),
-        }
-    }
 }
