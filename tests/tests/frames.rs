@@ -120,11 +120,12 @@ fn high_fringes_judge_bare_steel() {
         (&worn, "right", 0.0),
     ] {
         let found = feature(run, flank);
-        let (wear_um, u95_um) = (number(&found["wear_um"]), number(&found["u95_um"]));
-        assert!(
-            (wear_um - missing_um).abs() <= u95_um,
-            "{flank}: {wear_um} ± {u95_um} µm of {missing_um}"
-        );
+        // Where the edge of what is missing counts as texture on rough steel, a lower bound is claimed instead of an interval.
+        let holds = match found["at_least_um"].as_f64() {
+            Some(at_least_um) => at_least_um <= missing_um,
+            None => (number(&found["wear_um"]) - missing_um).abs() <= number(&found["u95_um"]),
+        };
+        assert!(holds, "{flank}: {found} of {missing_um} µm");
         let verdict = if missing_um > 0.0 { "no-go" } else { "go" };
         assert_eq!(found["verdict"], verdict, "{flank}");
     }

@@ -555,7 +555,7 @@ fn settings_that_cannot_be_are_named_with_what_can() {
         ("", "share = 0.0", "0.0001 to 1 of the points"),
         ("", "merged_per_mm2 = inf", "0.1 to 2000 points per mm2"),
         ("", "voxel_mm = 0.0", "above 0"),
-        ("", "order = \"3\"", "`inf`"),
+        ("", "order = \"0.5\"", "inf"),
         ("", "serial_inlier_ratio = 2.0", "0.01 to 1"),
         ("", "voxels_mm = 0.1", "voxel_mm"),
         ("", "first_pose = 0.1", "unknown field"),

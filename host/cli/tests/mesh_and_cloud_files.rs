@@ -498,14 +498,14 @@ fn formats_agree() {
                 "--cloud",
                 "points.xyz",
                 "-o",
-                "d.out",
+                "d.ply",
                 "--json",
                 "-",
             ],
         );
         assert_eq!(output.status.code(), Some(0), "{name}: {output:?}");
         assert_eq!(json(&output)["count"], 50);
-        results.push(std::fs::read(folder.path().join("d.out")).unwrap());
+        results.push(std::fs::read(folder.path().join("d.ply")).unwrap());
     }
     assert!(results.windows(2).all(|pair| pair[0] == pair[1]));
     // By hand: the first point is outside three faces, at (-2, -1, -1).

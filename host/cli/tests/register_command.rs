@@ -115,7 +115,7 @@ fn clouds_of_many_metres_are_read_in_metres() {
         hills(seed, count, [0.0; 3]).into_iter().map(of).collect()
     };
     write_xyz(&folder.path().join("old.xyz"), &site(1, 20_000));
-    write_xyz(&folder.path().join("new.xyz"), &site(2, 10_000));
+    write_xyz(&folder.path().join("new.xyz"), &site(1, 10_000));
     let base = [
         "register",
         "--reference",
@@ -127,7 +127,7 @@ fn clouds_of_many_metres_are_read_in_metres() {
         "--json",
         "-",
     ];
-    let units = ["--reference-unit", "m", "--cloud-unit", "m"];
+    let units = ["--cloud-unit", "m"];
     let output = flankscope(folder.path(), &[&base[..], &units].concat());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report = json(&output);

@@ -333,7 +333,7 @@ fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
         );
         host
     });
-    assert_eq!(record.notes.destinations, []);
+    assert_eq!(record.notes.moves(), 0);
     // What the controller drives stays as it was; only the devices and the press have shown themselves.
     for line in [
         "led_enable",

@@ -22,7 +22,7 @@ fn told(change: impl FnOnce(&mut StageConfig)) -> Command {
     }
 }
 
-/// Runs a script; returns its host's events and where the stages were sent. `line`: how the stage controller's port is set.
+/// Runs a script; returns its host's events and how often the stages were sent elsewhere. `line`: how the stage controller's port is set.
 fn run<F: Future<Output = Host> + 'static>(
     line: Option<Line>,
     script: impl FnOnce(Host) -> F,
@@ -35,7 +35,7 @@ fn run<F: Future<Output = Host> + 'static>(
     // The press shows itself whatever the stages do.
     let of_press = |event: &Event| matches!(event, Event::PressOpen { .. });
     let events = record.events.into_iter().filter(|event| !of_press(event));
-    (events.collect(), record.notes.destinations.len())
+    (events.collect(), record.notes.moves())
 }
 
 fn ready(event: &Event) -> bool {

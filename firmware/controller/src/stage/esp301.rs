@@ -406,6 +406,9 @@ impl<P: StagePort> Stage for Esp301<P> {
 
     async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault> {
         self.set_line(&stage.line)?;
+        // Stops sent at other speeds are noise to the stages' controller: an empty line ends what it took for the beginning of one.
+        self.send("").await?;
+        self.forget_errors().await?;
         Ok([
             self.name(digit(stage.rotation.number)).await?,
             self.name(digit(stage.vertical.number)).await?,

@@ -374,6 +374,8 @@ mod tests {
             });
             let settings = ClientSettings {
                 answer: Duration::from_millis(50),
+                // Less than the talker's 0.4 s.
+                unanswered: Duration::from_millis(200),
                 ..ClientSettings::default()
             };
             let [found, ..] = controller(Path::new(&port), settings, &StageConfig::DEFAULT, false);

@@ -65,6 +65,17 @@ pub struct Notes {
     pub focused: Vec<Option<u16>>,
 }
 
+impl Notes {
+    /// Destinations other than where the stages stood when the controller, at its start, stopped them.
+    pub fn moves(&self) -> usize {
+        let stood = self.destinations.first();
+        self.destinations
+            .iter()
+            .filter(|to| Some(*to) != stood)
+            .count()
+    }
+}
+
 #[derive(Clone, Default)]
 pub struct Notebook(pub Rc<RefCell<Notes>>);
 
