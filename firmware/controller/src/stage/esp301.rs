@@ -129,12 +129,13 @@ impl<P: StagePort> Esp301<P> {
         }
     }
 
-    fn set_line(&mut self, line: &Serial) -> Result<(), StageFault> {
+    async fn set_line(&mut self, line: &Serial) -> Result<(), StageFault> {
         self.line = *line;
-        match self.port.set_line(line) {
-            true => Ok(()),
-            false => Err(nonsense()),
+        if !self.port.set_line(line) {
+            return Err(nonsense());
         }
+        // What was sent at other speeds is noise to the stages' controller: an empty line ends what it took for the beginning of one.
+        self.send("").await
     }
 
     /// Sends one line and reads the error buffer.
@@ -255,7 +256,7 @@ impl<P: StagePort> Esp301<P> {
 
     /// Line, motors on, dynamics, search for home and what it stands for.
     async fn prepare(&mut self, stage: &StageConfig) -> Result<Axes, StageFault> {
-        self.set_line(&stage.line)?;
+        self.set_line(&stage.line).await?;
         self.forget_errors().await?;
         let axes = Axes::of(stage);
         for axis in [&axes.rotation, &axes.vertical] {
@@ -405,10 +406,7 @@ impl<P: StagePort> Stage for Esp301<P> {
     }
 
     async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault> {
-        self.set_line(&stage.line)?;
-        // Stops sent at other speeds are noise to the stages' controller: an empty line ends what it took for the beginning of one.
-        self.send("").await?;
-        self.forget_errors().await?;
+        self.set_line(&stage.line).await?;
         Ok([
             self.name(digit(stage.rotation.number)).await?,
             self.name(digit(stage.vertical.number)).await?,

@@ -24,8 +24,7 @@ const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
 /// A frame that was not triggered arrives within two readouts of the last one; a later one does not belong to this capture.
 const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
 
-/// A camera that still sends frames so long after the last trigger never ends: the host's buffer holds 16 of them, for each of which
-/// the sums take some tens of ms.
+/// A camera that has sent frames for so long, none of which is one of those still missing, never ends.
 const DRAINING: Duration = Duration::from_secs(2);
 
 /// A camera that has not reported within this time that it is armed counts as absent: a process takes a second to start, a camera
@@ -347,8 +346,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
     /// Takes the frames that are still on their way, and checks whether more arrive than were triggered.
     fn drain(&mut self) {
         let planned = self.arm.map_or(0, |arm| arm.frames());
-        let end = Instant::now() + DRAINING;
+        let mut end = Instant::now() + DRAINING;
         while Instant::now() < end {
+            let before = self.arrived;
             let patience = if self.arrived < planned {
                 LAST_FRAME_PATIENCE
             } else {
@@ -358,6 +358,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 Ok(Some(frame)) => self.add(frame),
                 Ok(None) => return,
                 Err(error) => self.fail(error.into()),
+            }
+            if before < self.arrived && self.arrived <= planned {
+                end = Instant::now() + DRAINING;
             }
         }
     }

@@ -344,6 +344,7 @@ fn press(status: &Status) -> Finding {
 #[cfg(test)]
 mod tests {
     use std::io::Write;
+    use std::sync::mpsc::RecvTimeoutError;
     use std::time::Duration;
 
     use serialport::{SerialPort, TTYPort};
@@ -358,28 +359,31 @@ mod tests {
             let port = near.name().unwrap();
             // It would hold the port's lock.
             drop(near);
+            let (done, until) = std::sync::mpsc::channel::<()>();
             let talker = std::thread::spawn(move || {
                 let mut state = 9u32;
-                for _ in 0..200 {
+                // The far end stays open until the near one has been asked.
+                while until.recv_timeout(Duration::from_millis(2)) == Err(RecvTimeoutError::Timeout)
+                {
                     let mut noise = [0; 64];
                     for byte in &mut noise {
                         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                         *byte = (state >> 24) as u8;
                     }
-                    if noisy && far.write_all(&noise).is_err() {
-                        break;
+                    if noisy {
+                        // Full while nobody reads.
+                        let _full = far.write_all(&noise);
                     }
-                    std::thread::sleep(Duration::from_millis(2));
                 }
             });
             let settings = ClientSettings {
                 answer: Duration::from_millis(50),
-                // Less than the talker's 0.4 s.
                 unanswered: Duration::from_millis(200),
                 ..ClientSettings::default()
             };
             let [found, ..] = controller(Path::new(&port), settings, &StageConfig::DEFAULT, false);
             assert!(found.seen.contains(words), "{}", found.seen);
+            done.send(()).unwrap();
             talker.join().unwrap();
         }
     }

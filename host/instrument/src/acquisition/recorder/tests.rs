@@ -93,21 +93,9 @@ fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> 
     };
     let (_orders, receiver) = std::sync::mpsc::channel();
     let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
-    let mut recorder = Recorder {
-        source,
-        settings,
-        planned: Vec::new(),
-        orders: receiver,
-        events,
-        fresh: Box::new(|| unreachable!("nothing is summed")),
-        spare: Vec::new(),
-        arm: None,
-        arrived: 0,
-        open: None,
-        kept: None,
-        saver: None,
-        earlier: VecDeque::new(),
-    };
+    let decoder = crate::acquisition::sums::tests::decoder();
+    let sums = || ViewSums::new(&decoder, 1);
+    let mut recorder = Recorder::new(source, settings, Vec::new(), receiver, events, sums);
     recorder.arm_camera(Arm {
         session: 7,
         ..Arm::default()
@@ -167,21 +155,16 @@ fn a_camera_that_never_ends_is_given_up_and_fills_no_memory() {
     for (session, most) in [(3, 0), (9, plan.frames() + 1), (7, plan.frames() + 1)] {
         let (_orders, receiver) = std::sync::mpsc::channel();
         let (events, mut recorded) = tokio::sync::mpsc::unbounded_channel();
-        let mut recorder = Recorder {
-            source: Babbling { session, sent: 0 },
-            settings: settings_of(None),
-            planned: crate::acquisition::sums::planned_frames(&decoder, &[]),
-            orders: receiver,
+        let mut recorder = Recorder::new(
+            Babbling { session, sent: 0 },
+            settings_of(None),
+            crate::acquisition::sums::planned_frames(&decoder, &[]),
+            receiver,
             events,
-            fresh: Box::new(|| ViewSums::new(&decoder, 1)),
-            spare: Vec::new(),
-            arm: Some(plan),
-            arrived: 0,
-            open: None,
-            kept: None,
-            saver: None,
-            earlier: VecDeque::from([3]),
-        };
+            || ViewSums::new(&decoder, 1),
+        );
+        recorder.arm = Some(plan);
+        recorder.earlier = VecDeque::from([3]);
         let begun = Instant::now();
         recorder.drain();
         recorder.close();
@@ -204,6 +187,61 @@ fn a_camera_that_never_ends_is_given_up_and_fills_no_memory() {
         }
         assert_eq!(views, most, "session {session}");
     }
+}
+
+/// A host that is slow, or frames that are read from a disk.
+struct Slow {
+    left: u32,
+    each: Duration,
+}
+
+impl FrameSource for Slow {
+    type Frame = Blank;
+    fn arm(&mut self, _: Arm) -> Result<(), ReceiveError> {
+        Ok(())
+    }
+    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+        Ok(None)
+    }
+    fn receive(&mut self, _: Duration) -> Result<Option<Blank>, ReceiveError> {
+        let Some(left) = self.left.checked_sub(1) else {
+            return Ok(None);
+        };
+        self.left = left;
+        std::thread::sleep(self.each);
+        Ok(Some(Blank(FrameHeader {
+            session: 7,
+            ..FrameHeader::default()
+        })))
+    }
+}
+
+#[test]
+fn frames_that_come_one_by_one_are_waited_for_however_long_all_of_them_take() {
+    let plan = Arm {
+        session: 7,
+        views: 2,
+        exposures: 1,
+        patterns: 4,
+        ..Arm::default()
+    };
+    let decoder = crate::acquisition::sums::tests::decoder();
+    let (_orders, receiver) = std::sync::mpsc::channel();
+    let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
+    let mut recorder = Recorder::new(
+        Slow {
+            left: plan.frames(),
+            each: DRAINING / (plan.frames() - 2),
+        },
+        settings_of(None),
+        crate::acquisition::sums::planned_frames(&decoder, &[]),
+        receiver,
+        events,
+        || ViewSums::new(&decoder, 1),
+    );
+    recorder.arm = Some(plan);
+    recorder.drain();
+    assert_eq!(recorder.arrived, plan.frames());
 }
 
 #[test]
