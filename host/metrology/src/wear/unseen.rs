@@ -230,11 +230,11 @@ pub(crate) mod tests {
                 );
             }
             // Rq of 3 um, correlated over 50 um; nothing at all; a bowl 40 um deep; a slope.
-            let rough = |p: [f64; 2]| waves(p, 3e-3, 0.05, 8);
+            let rough = waves(3e-3, 0.05, 8);
             let bowl =
                 |[x, y]: [f64; 2]| (0.04 - 0.16 * ((x - 0.8).powi(2) + (y - 1.5).powi(2))).max(0.0);
             for (name, wear) in [
-                ("rough", looked_at(rough, SIZE_MM, slant, 9)),
+                ("rough", looked_at(&rough, SIZE_MM, slant, 9)),
                 ("flat", looked_at(|_| 0.0, SIZE_MM, slant, 10)),
                 ("bowl", looked_at(bowl, SIZE_MM, slant, 11)),
                 ("slope", looked_at(|[_, y]| 0.01 * y, SIZE_MM, slant, 12)),
@@ -279,15 +279,21 @@ pub(crate) mod tests {
     }
 
     /// A band-limited surface of a given rms and correlation length.
-    pub(crate) fn waves([x, y]: [f64; 2], rms_mm: f64, length_mm: f64, seed: u64) -> f64 {
+    pub(crate) fn waves(rms_mm: f64, length_mm: f64, seed: u64) -> impl Fn([f64; 2]) -> f64 {
         const WAVES: u64 = 24;
-        let sum: f64 = (0..WAVES)
+        let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|k| {
                 let n = |i: u64| normal(seed, 3 * k + i) / length_mm;
                 let phase = std::f64::consts::TAU * uniform(seed + 1, k);
-                (n(0) * x + n(1) * y + phase).cos()
+                [n(0), n(1), phase]
             })
-            .sum();
-        rms_mm * sum * (2.0 / WAVES as f64).sqrt()
+            .collect();
+        move |[x, y]| {
+            let sum: f64 = waves
+                .iter()
+                .map(|[a, b, c]| (a * x + b * y + c).cos())
+                .sum();
+            rms_mm * sum * (2.0 / WAVES as f64).sqrt()
+        }
     }
 }

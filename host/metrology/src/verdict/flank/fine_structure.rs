@@ -248,7 +248,7 @@ fn flanks_after_a_week() {
     assert_go("hairlines", &hair);
     let rough = verdicts(|draw, seed| {
         let (rms, length) = (draw(1e-3, 3e-3), draw(0.05, 0.3));
-        Box::new(move |at| waves(at, rms, length, seed))
+        Box::new(waves(rms, length, seed))
     });
     assert_go("rough", &rough);
     let shallow = verdicts(|draw, seed| {
@@ -257,7 +257,7 @@ fn flanks_after_a_week() {
             draw(0.2, 0.6),
             draw(3e-3, 15e-3),
         );
-        let rough = move |at| waves(at, 1e-3, 0.1, seed);
+        let rough = waves(1e-3, 0.1, seed);
         Box::new(move |p: [f64; 2]| {
             let away = (p[0] - at[0]).hypot(p[1] - at[1]) / radius;
             rough(p) + if away < 1.0 { depth } else { 0.0 }

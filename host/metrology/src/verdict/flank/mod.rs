@@ -133,7 +133,8 @@ fn judge_with(wear: &FlankWear, limits: &FlankLimits, refusals: Refusals) -> Dec
     };
     // A pose that may hide or feign anything proves nothing either way.
     if let Some(reason) = pose(wear).filter(|_| refusals.pose) {
-        return none(reason);
+        // Where too little was seen, nothing tells what the pose hides.
+        return none(uncovered(wear, limits).unwrap_or(reason));
     }
     let judged = figures(wear, limits);
     let verdict = combine(judged.iter().map(|(verdict, _)| verdict.clone()));
@@ -216,6 +217,16 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
     })
 }
 
+/// Reason for which too little of the zone was measured. Comparisons with NaN are false: a coverage that is not a number is refused.
+fn uncovered(wear: &FlankWear, limits: &FlankLimits) -> Option<Reason> {
+    let least = limits.least_coverage.max(LEAST_COVERAGE);
+    let enough = wear.coverage >= least && limits.least_coverage.is_finite();
+    (!enough).then_some(Reason::Coverage {
+        coverage: wear.coverage,
+        least,
+    })
+}
+
 /// Reason for which `verdict`, which is not no-go, cannot be given.
 fn blind(
     wear: &FlankWear,
@@ -223,14 +234,8 @@ fn blind(
     verdict: &Verdict,
     on: Refusals,
 ) -> Option<Reason> {
-    // Comparisons with NaN are false: a coverage that is not a number is refused as well.
-    let least = limits.least_coverage.max(LEAST_COVERAGE);
-    let enough = wear.coverage >= least && limits.least_coverage.is_finite();
-    if !enough && on.coverage {
-        return Some(Reason::Coverage {
-            coverage: wear.coverage,
-            least,
-        });
+    if let Some(reason) = uncovered(wear, limits).filter(|_| on.coverage) {
+        return Some(reason);
     }
     let Some(figures) = &wear.judged else {
         return Some(Reason::NoDisc {
@@ -471,6 +476,19 @@ mod tests {
                     "{sentence}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn of_a_flank_that_was_hardly_seen_the_coverage_is_the_reason() {
+        let mut wear = sound();
+        wear.sensitivity = leaking(f64::NAN);
+        for (coverage, code) in [(0.0, "coverage"), (0.3, "coverage"), (1.0, "leakage")] {
+            wear.coverage = coverage;
+            let Verdict::Indeterminate { reason } = judge(&wear, &limits()).verdict else {
+                panic!("{coverage} is not refused");
+            };
+            assert_eq!(reason.code().word(), code);
         }
     }
 
