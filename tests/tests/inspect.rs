@@ -47,10 +47,10 @@ fn assert_whole(run: &Run) {
     }
 }
 
-/// Twenty seeds where everything runs, else two, each undamaged and worn: go, and no-go on exactly the worn flank. Split over
+/// Ten seeds where everything runs, else two, each undamaged and worn: go, and no-go on exactly the worn flank. Split over
 /// threads of the test runner.
 fn seeds(seeds: std::ops::Range<u32>) {
-    let count = if everything() { 10 } else { 1 };
+    let count = if everything() { 5 } else { 1 };
     for seed in seeds.take(count) {
         let seed = seed.to_string();
         let undamaged = inspect(&["--seed", &seed]);
@@ -161,7 +161,7 @@ fn a_gear_of_another_cad_kernel() {
 fn a_camera_that_misbehaves_is_never_go() {
     for kind in ["lose", "repeat", "extra"] {
         // In the first view, so that the second capture meets the fault again.
-        for frame in [0, 1, 13, 24] {
+        for frame in [0, 24] {
             let fault = format!("{kind}:{frame}");
             let always = inspect_on(&format!("[camera]\nframe_fault = \"{fault}\"\n"), &[]);
             assert_eq!(

@@ -136,8 +136,8 @@ fn test(all: bool) -> Result<(), String> {
     }
     if !all {
         eprintln!(
-            "  --all adds                 10 times the kills (2 000), 20 seeds instead of 2, 300 damaged dies instead of 8, \
-             100 000 drawn flanks instead of 3 000; three times the shapes of damage, surfaces and unmodelled errors; uneven \
+            "  --all adds                 10 times the kills (2 000), 10 seeds instead of 2, 120 damaged dies instead of 8, \
+             30 000 drawn flanks instead of 3 000; three times the shapes of damage, surfaces and unmodelled errors; uneven \
              lenses, dies of other teeth or put down turned by one, a study in small, README and docs/hardware.md step by \
              step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; a \
              deployment without a bench; the Python package; and fails where something cannot run"
