@@ -30,7 +30,7 @@ pub(super) fn scale_mm(
     let form_mm = known_mm.hypot(settings.drift_mm);
     let stated_mm = [form_mm, settings.calibration_mm];
     let found = scale::of_view(gear, place.tooth, closest, places, stated_mm);
-    let Some(found) = found.filter(scale::Scale::may_be) else {
+    let Some(found) = found.filter(scale::Scale::is_possible) else {
         return Ok(0.0);
     };
     if found.is_shown() {

@@ -45,13 +45,13 @@ pub struct Scale {
 impl Scale {
     /// Whether the teeth in view may be of a scale other than 1: it leaves them off by no more than their form is known to, as damage
     /// does not, and their form alone does not explain it.
-    pub fn may_be(&self) -> bool {
+    pub fn is_possible(&self) -> bool {
         self.left_mm <= self.form_mm && self.value.abs() > COVERAGE_95 * self.u_form
     }
 
     /// Whether the teeth in view agree on such a scale, calibration error aside: without one they contradict each other.
     pub fn is_told(&self) -> bool {
-        self.may_be() && self.left_mm < MOST_OF_WITHOUT * self.without_mm
+        self.is_possible() && self.left_mm < MOST_OF_WITHOUT * self.without_mm
     }
 
     /// Whether the scale also exceeds what the calibration's uncertainty can explain.
