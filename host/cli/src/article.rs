@@ -16,11 +16,11 @@ use crate::instrument::subject;
 use crate::output::{Common, Outcome, say, try_folder, write_whole};
 use crate::paper::ArticleSettings;
 
-/// The article's figures and tables of a scan, made by its method and by ours, as one page.
+/// Compute the published article's figures and tables for a scan, by its method and by ours, as one page.
 #[derive(clap::Args)]
 #[command(after_help = help::ARTICLE_EXAMPLE)]
 pub struct Args {
-    /// Folder that a scan kept its views in (scan --session DIR)
+    /// Folder with the views of a scan (scan --session DIR)
     #[arg(long, value_name = "DIR", required_unless_present = "write_settings")]
     scan: Option<PathBuf>,
     /// Write article.html, article.json and first-view.ply into this folder
@@ -31,18 +31,18 @@ pub struct Args {
     frames: Option<PathBuf>,
     #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
-    /// Head file instead of the tool folder's: the one that was scanned with
+    /// Head file used for the scan, instead of the tool folder's
     #[arg(long, value_name = "HEAD.toml")]
     head: Option<PathBuf>,
-    /// The station's file, if it was scanned with one
+    /// Station file used for the scan, if there was one
     #[arg(long, value_name = "STATION.toml")]
     station: Option<PathBuf>,
     #[command(flatten)]
     paper: ArticleSettings,
-    /// Seed of what the article's method draws: the scan's
+    /// Seed of the article's random points: that of the scan
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Only write the article's settings of its method into this file, for --article-settings
+    /// Only write the article's own settings into this file, for --article-settings
     #[arg(long, value_name = "SETTINGS.toml", exclusive = true)]
     write_settings: Option<PathBuf>,
     #[command(flatten)]

@@ -51,10 +51,10 @@ use crate::site::{Made, Place, Site};
 pub struct Args {
     #[arg(long, value_name = "DIR", help = help::TARGET)]
     target: Option<PathBuf>,
-    /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml, or with board.toml [default: none]
+    /// Folder with images from elsewhere, to use instead of captures; it contains captures.toml and PLAN.toml, or board.toml
     #[arg(long, value_name = "DIR", conflicts_with = "check")]
     images: Option<PathBuf>,
-    /// Which board the images show, for a checkerboard, ChArUco board or circles [default: board.toml among the images, if it is there]
+    /// Description of the checkerboard, ChArUco board or circle grid in the images [default: board.toml beside them, if there is one]
     #[arg(
         long,
         value_name = "BOARD.toml",
@@ -66,7 +66,7 @@ pub struct Args {
     focus: FocusArgs,
     #[command(flatten)]
     place: Place,
-    /// Where the head goes; its core map and its first self-test are written beside it
+    /// Write the head file here, its core map and its first self-test beside it
     #[arg(
         long,
         short,

@@ -16,8 +16,8 @@ use crate::output::{Common, Outcome};
 /// Which lens, and how it is driven.
 #[derive(clap::Args)]
 pub struct FocusArgs {
-    /// Head whose focus is driven, from its calibrations at several settings: write its file for one setting, nothing is captured
-    /// [default: none]
+    /// Compute the file of a head with a driven lens for one setting (--focus) from its calibrations at several settings, which
+    /// this file lists; nothing is captured
     #[arg(
         long,
         value_name = "FOCUS.toml",
@@ -25,7 +25,7 @@ pub struct FocusArgs {
         conflicts_with_all = ["images", "board", "check"]
     )]
     pub focus_series: Option<PathBuf>,
-    /// Power that the lens is driven to, as nearly as its driver can [default: the starting head's counts; with --focus-series, none]
+    /// Power to which the lens is driven, rounded to a step of its driver [default: the starting head's counts]
     #[arg(
         long,
         value_name = "DPT",
@@ -34,14 +34,14 @@ pub struct FocusArgs {
     )]
     pub focus: Option<f64>,
     /// Find the setting of a driven lens at which the camera is sharp on the middle of the target's blank plate; with --focus-series
-    /// and -o, write the head there
+    /// and -o, write the head file for that setting
     #[arg(long, conflicts_with_all = ["focus", "images", "board", "check"])]
     pub autofocus: bool,
-    /// Head by which --autofocus measures how far the plate is from camera and projector; calibrated at any setting of its lens, it is
-    /// surer than a drawing [default: the target's head.toml]
+    /// Head with which --autofocus measures the distance of the plate; one that was calibrated, at any setting of its lens, gives a
+    /// smaller uncertainty [default: the target's head.toml]
     #[arg(long, value_name = "HEAD.toml", requires = "autofocus")]
     pub head: Option<PathBuf>,
-    /// How warm the lens is; with --focus-series
+    /// Temperature of the lens in degrees C; with --focus-series
     #[arg(
         long,
         value_name = "CELSIUS",

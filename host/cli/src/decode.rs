@@ -21,7 +21,7 @@ use serde::Serialize;
 use crate::grid::Grid;
 use crate::output::{Common, Outcome, say};
 
-/// Fringe images to a point cloud.
+/// Compute a point cloud from fringe images.
 ///
 /// Reads grey PNG, TIFF or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
 /// with the predicted standard uncertainty of the depth at every point (property sigma_z).
@@ -39,13 +39,13 @@ pub struct Args {
     /// head.toml, or an OpenCV calibration (XML or YAML with Kc kc Kp kp Rp Tp).
     #[arg(long, value_name = "FILE")]
     head: PathBuf,
-    /// Where the cloud goes: binary PLY, or arrays for NumPy (name.npz).
+    /// Write the cloud here: binary PLY, or arrays for NumPy (name.npz).
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     /// Which of two projectors showed the patterns.
     #[arg(long, value_name = "1|2", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     projector: u8,
-    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map].
+    /// Decode blocks of pixels, or the cores of the head's map [default: cores if there is a map].
     #[arg(long, value_enum, value_name = "GRID")]
     grid: Option<Grid>,
     /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels [default: 0.7, cores 0]. Coarser fringes, which only
@@ -55,12 +55,12 @@ pub struct Args {
     /// Least contrast (amplitude over mean) of every frequency.
     #[arg(long, value_name = "RATIO", default_value_t = DecodeOptions::IMAGE_CONTRAST)]
     min_contrast: f64,
-    /// Least amplitude of every frequency, in counts per pixel and exposure [default: where rounding and read noise, unsmoothed,
-    /// still leave the fringe order sure; the JSON's min_modulation_dn says how much that is].
+    /// Least amplitude of every frequency, in counts per pixel and exposure [default: the least at which rounding and read noise
+    /// cannot change the fringe order, min_modulation_dn in the JSON].
     #[arg(long, value_name = "DN")]
     min_modulation: Option<f64>,
-    /// Drop cells whose frames follow one fringe so badly that noise would do so with less than this probability; 0 keeps all
-    /// [default: 0.001 where plan or head have a `[sensor]`].
+    /// Drop cells whose frames deviate from a sinusoid by more than noise does with this probability; 0 keeps all [default: 0.001
+    /// where plan or head have a `[sensor]`].
     #[arg(long, value_name = "PROBABILITY")]
     frame_consistency: Option<f64>,
     /// Drop points with a larger predicted standard uncertainty of the depth.
@@ -69,10 +69,10 @@ pub struct Args {
     /// Drop patches of fewer connected cells; 0 keeps all.
     #[arg(long, value_name = "CELLS", default_value_t = DecodeOptions::IMAGE_PATCH)]
     min_patch: usize,
-    /// Write light straight from the projector and over other ways at every point, too (properties direct and global, electrons).
+    /// Also write direct and indirect light at every point (properties direct and global, in electrons).
     #[arg(long)]
     light_parts: bool,
-    /// Write phase, modulation, mean, fringe order, projector column and depth of every cell, too, as arrays for NumPy.
+    /// Also write phase, modulation, mean, fringe order, projector column and depth of every cell, as arrays for NumPy.
     #[arg(long, value_name = "MAPS.npz", value_parser = npz_file)]
     phase: Option<PathBuf>,
     #[command(flatten)]

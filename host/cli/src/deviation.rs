@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::geometry::{Cad, CadArgs, CloudUnit, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
-/// Signed distance of every point of a cloud to a CAD mesh.
+/// Compute the signed distance of every point of a cloud to a CAD mesh.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope deviation --cad die.stl --cloud aligned.ply -o deviation.ply --json -"
@@ -32,7 +32,7 @@ pub struct Args {
     /// Order of the Minkowski distance, a number from 1 on or inf, for `--metric nearest`.
     #[arg(long, value_name = "P", default_value_t = Order::Two)]
     order: Order,
-    /// The cloud in its order with `deviation` of every point in mm, as binary PLY, or as arrays for NumPy (name.npz).
+    /// Write the cloud, points in their order, with `deviation` of every point in mm, as binary PLY or as arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

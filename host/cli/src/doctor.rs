@@ -26,7 +26,7 @@ use crate::terminal::Terminal;
 /// How long a camera process may take to start.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.
+/// Report what is installed, connected, calibrated and expired, with a remedy for every problem; nothing moves.
 #[derive(clap::Args)]
 #[command(
     long_about = help::DOCTOR,

@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::geometry::{CloudUnit, load_cloud};
 use crate::output::{Common, Outcome};
 
-/// Profile, helix, pitch and runout deviations of every tooth in a cloud, in the sense of ISO 1328-1.
+/// Evaluate profile, helix, pitch and runout deviations of every tooth in a cloud, as ISO 1328-1 defines them.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope gear --tool die --cloud merged.ply --class 9 --json gear.json\n\n\
@@ -27,7 +27,7 @@ use crate::output::{Common, Outcome};
     Exit code: 0 evaluated (with --class: held), 1 --class not held, 2 --class not decidable, 3 could not run"
 )]
 pub struct Args {
-    /// Folder with tool.toml, or the file itself; its section `gear` is what counts.
+    /// Folder with tool.toml, or the file itself; only its section `gear` is used.
     #[arg(long, value_name = "DIR")]
     tool: PathBuf,
     /// Cloud in tool coordinates: PLY, arrays (.npz) or text with `x y z` per line.
@@ -35,7 +35,7 @@ pub struct Args {
     cloud: PathBuf,
     #[command(flatten)]
     cloud_unit: CloudUnit,
-    /// The axis that deviations are stated about.
+    /// Axis about which deviations are stated.
     #[arg(long, value_enum, default_value_t = Axis::Tool)]
     axis: Axis,
     /// Profile control radius and tip form radius: the flank between root rounding and tip edge [default: the active flank].
@@ -44,13 +44,13 @@ pub struct Args {
     /// Radii between which f_H_alpha is stated [default: profile control radius and tip radius].
     #[arg(long, value_name = "A,B", value_parser = two_radii)]
     slope_mm: Option<[f64; 2]>,
-    /// Points up to this far from mid face enter a profile.
+    /// Largest distance of a profile's points from mid face.
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     band_mm: f64,
     /// Expanded uncertainty (95 %) of a deviation.
     #[arg(long, value_name = "UM", default_value_t = 5.0)]
     u95_um: f64,
-    /// Class that every quantity must hold, 1 to 11.
+    /// Tolerance class that every quantity must meet, 1 to 11.
     #[arg(long, value_name = "CLASS", value_parser = clap::value_parser!(u32).range(1..=11))]
     class: Option<u32>,
     #[command(flatten)]

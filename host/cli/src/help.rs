@@ -22,7 +22,7 @@ text!(
 text!(LINK_VALUES: "sim|qemu|PORT", "PORT");
 text!(
     /// Of `--tool`.
-    TOOL: "Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]",
+    TOOL: "Folder with tool.toml and, for another head than the demo's, head.toml [default: the demo die]",
     "Folder with tool.toml and head.toml"
 );
 text!(
@@ -39,24 +39,24 @@ text!(
     INSPECT_EXAMPLE: "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
         checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n  \
         flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
-        checks a die in a press and keeps what was found. With --tool or --history the link is named: what a result says of\n\
-        a press must not come from the simulated bench. A history holds checks of one of them, never of both.",
+        checks a die in a press and stores the result. --tool and --history need --link, so that a simulated result is never taken for \
+        one of a press; a history holds checks of one kind only.",
     "Example:\n  flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
-        checks a die in a press and keeps what was found."
+        checks a die in a press and stores the result."
 );
 text!(
-    SCAN: "Scan the whole die: many views, laid on the CAD together, merged into one map.\n\n\
-        Without options the built-in demo die is scanned on the simulated bench, where it stands eccentric and tilted, with a \
-        hand-eye known only roughly. With --session a scan that was killed goes on where it was.",
-    "Scan the whole die: many views, laid on the CAD together, merged into one map.\n\n\
-        With --session a scan that was killed goes on where it was."
+    SCAN: "Scan the whole die: many views, registered to the CAD together and merged into one map.\n\n\
+        Without options the built-in demo die is scanned on the simulated bench, where it stands eccentric and tilted and the \
+        hand-eye transform is only roughly known. With --session an interrupted scan is continued.",
+    "Scan the whole die: many views, registered to the CAD together and merged into one map.\n\n\
+        With --session an interrupted scan is continued."
 );
 text!(
     SCAN_EXAMPLE: "Example:\n  flankscope scan --views 12x2 --speed max --report out\n\
         scans the demo die and writes out/report.html, out/scan.json and out/map.ply\n\n  \
         flankscope bench example > bench.toml\n  \
         flankscope scan --views 12x2 --speed max --bench bench.toml --report out\n\
-        scans a die of the form that bench.toml says, ovality_um = 20 for example",
+        scans a die with the form errors in bench.toml, for example ovality_um = 20",
     "Example:\n  flankscope scan --views 84x7 --tool DIR --link /dev/ttyACM0 --session scan-1 --report out\n\
         scans a die and writes out/report.html, out/scan.json and out/map.ply"
 );
@@ -66,15 +66,15 @@ text!(
         scans the demo die in one layer of 84 views and writes out/article.html\n\n  \
         flankscope article --write-settings settings.toml\n  \
         flankscope article --scan views --article-settings settings.toml --report out\n\
-        takes the denoising of the article's toolbox, too, or what else settings.toml is changed to",
+        uses the settings in settings.toml, for example with the denoising of the article's toolbox",
     "Example:\n  flankscope article --scan views --tool DIR --report out\n\
-        makes the figures of a scan that was kept in the folder views (scan --session views), and writes out/article.html"
+        computes the figures of a scan whose views are in the folder views (scan --session views) and writes out/article.html"
 );
 text!(
     WATCH_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\
-        lets the simulated press wear 2 um per cycle off one flank: go, then warn, then no-go",
+        simulates a press that wears one flank by 2 um per cycle: go, then warn, then no-go",
     "Example:\n  flankscope watch --every 500 --tool DIR --link /dev/ttyACM0 --history press.db\n\
-        checks the die every 500 cycles, and holds the press meanwhile"
+        checks the die every 500 cycles, with the press held during each check"
 );
 text!(
     HISTORY_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --link sim --history bench.db\n  \
@@ -85,18 +85,18 @@ text!(
 );
 text!(
     REPLAY_EXAMPLE: "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope replay bench.db 1\n\
-        computes the first check of the history again",
+        recomputes the first check of the history",
     "Example:\n  flankscope replay press.db 1 --tool DIR\n\
-        computes the first check of the history again"
+        recomputes the first check of the history"
 );
 text!(
-    DOCTOR: "Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.\n\n\
-        One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what \
-        would make it right. What needs attention works today. With a real port everything that a check there needs is looked \
-        at; without one, the simulated bench.",
-    "Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.\n\n\
-        One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what \
-        would make it right. What needs attention works today. Everything that a check needs is looked at."
+    DOCTOR: "Report what is installed, connected, calibrated and expired, with a remedy for every problem; nothing moves.\n\n\
+        One line per item: its state (ok, attention, failed, not asked), its name, what was found, and after an arrow the \
+        remedy. An item that needs attention still works today. With a real port everything that a check needs is examined; \
+        without one, the simulated bench.",
+    "Report what is installed, connected, calibrated and expired, with a remedy for every problem; nothing moves.\n\n\
+        One line per item: its state (ok, attention, failed, not asked), its name, what was found, and after an arrow the \
+        remedy. An item that needs attention still works today."
 );
 text!(
     /// Of the doctor's `--tool`.
@@ -105,8 +105,8 @@ text!(
 );
 text!(
     /// Of the patterns' `--head`.
-    PATTERNS_HEAD: "Head file whose projector shows them [default: the demo head]",
-    "Head file whose projector shows them"
+    PATTERNS_HEAD: "Head file of the projector [default: the demo head]",
+    "Head file of the projector"
 );
 text!(
     /// Ends of the paragraph on where a calibration starts.

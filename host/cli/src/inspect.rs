@@ -25,7 +25,7 @@ use crate::terminal::Terminal;
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
     format!(
         "{}\n\n\
-        The exit code is the verdict's, also when a report cannot be written; that is said on standard error.\n\
+        The exit code is that of the verdict, even if the report cannot be written, which is reported on standard error.\n\
         Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn\n\n{}",
         help::INSPECT_EXAMPLE,
         flankscope_report::DEFINITIONS
@@ -41,17 +41,17 @@ static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
 pub struct Args {
     #[command(flatten)]
     source: Source,
-    /// Check the frames in this folder, which were recorded before, as its frames.toml says: nothing moves, and no controller
-    /// or camera is asked. Teeth are those of the recording, or some of them by --teeth
+    /// Evaluate the recorded frames in this folder, described by its frames.toml, without controller and camera. The teeth are those
+    /// of the recording, or those of --teeth among them
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
-    /// Also write every frame of this check into this folder, for --frames later: the camera's raw counts, 4.6 MB each
+    /// Also write every frame of this check into this folder, for a later --frames: raw counts, 4.6 MB per frame
     #[arg(long, value_name = "DIR", conflicts_with = "frames")]
     save_frames: Option<PathBuf>,
     /// Write report.html and inspection.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Write this check of a new tool as the baseline of later ones; only a go is one
+    /// Write this check of a new tool as the baseline for later checks; nothing is written unless it is go
     #[arg(long, value_name = "FILE")]
     record_baseline: Option<PathBuf>,
     #[command(flatten)]

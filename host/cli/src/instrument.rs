@@ -40,21 +40,20 @@ pub struct Source {
     /// Teeth to check instead of the tool file's, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     pub teeth: Option<Vec<u32>>,
-    /// Temperature of the tool in degrees C; a tool file with the section `temperature` needs it
+    /// Temperature of the tool in degrees C; required by a tool file with the section `temperature`
     #[arg(long, value_name = "DEGC", allow_negative_numbers = true)]
     pub tool_temperature: Option<f64>,
-    /// Show the patterns in passes that light left flanks, right flanks and the rest one after the other, by the pictures in this
-    /// folder (`flankscope patterns --adaptive`), which the DMD is loaded with: for flanks that light each other
+    /// For bare steel, where flanks reflect light onto each other: light left flanks, right flanks and the rest one after the other,
+    /// with the pictures in this folder (made by `flankscope patterns --adaptive` and loaded into the DMD)
     #[arg(long, value_name = "DIR")]
     pub adaptive: Option<PathBuf>,
-    /// Judge what was lost since this baseline instead of the deviation from CAD
+    /// Judge the loss since this baseline instead of the deviation from CAD
     #[arg(long, value_name = "FILE")]
     pub baseline: Option<PathBuf>,
-    /// Store every check in this file, made where there is none; a check that cannot be stored is not go [default: nothing is
-    /// stored]
+    /// Store every check in this file, which is created if missing; a check that cannot be stored is not go [default: not stored]
     #[arg(long, value_name = "FILE")]
     pub history: Option<PathBuf>,
-    /// Press cycles that the tool has done [default: counted on from its last check in the history]
+    /// Press cycles of the tool so far [default: continued from its last check in the history]
     #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
 }

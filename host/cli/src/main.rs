@@ -79,7 +79,7 @@ enum Command {
     Doctor(doctor::Args),
     Patterns(patterns::Args),
     Manual(manual::Args),
-    /// The simulated bench: its file, the demo's files, its process
+    /// Simulated bench: write its settings file or the demo's files, run its process
     #[cfg(feature = "bench")]
     #[command(subcommand)]
     Bench(bench_link::Command),

@@ -12,11 +12,11 @@ use serde::Serialize;
 use crate::geometry::{CloudUnit, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
-/// One cloud of several: the points in each cube of a grid become their centroid.
+/// Merge clouds: the points in each cube of a grid are replaced by their centroid.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope merge view-1.ply view-2.ply --voxel-mm 0.05 -o merged.ply --json -\n\n\
-    The clouds lie in one frame already. Colours and other properties are not merged."
+    The clouds must be in the same frame. Colours and other properties are not merged."
 )]
 pub struct Args {
     /// Clouds in the same coordinates: PLY, arrays (.npz) or text with `x y z` per line.
@@ -27,7 +27,7 @@ pub struct Args {
     /// Edge of the cubes, counted from the smallest coordinates of all clouds.
     #[arg(long, value_name = "S")]
     voxel_mm: f64,
-    /// The merged cloud, as binary PLY, or as arrays for NumPy (name.npz); its coordinates are double if those of any cloud are.
+    /// Write the merged cloud, as binary PLY or as arrays for NumPy (name.npz), in double precision if any of the clouds is.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -40,7 +40,7 @@ impl From<Stored> for Packing {
     }
 }
 
-/// Write the pattern sets as images for the DMD's own mirrors, with a manifest of order, bit planes and LED.
+/// Write the pattern sets as images for the DMD, with a manifest of order, bit planes and LED.
 ///
 /// Each set gets a folder with its images and patterns.json. Size and arrangement of the mirrors are those of the head file
 /// (`[mirrors]`, else `[projector]`).
@@ -53,7 +53,7 @@ impl From<Stored> for Packing {
 pub struct Args {
     #[arg(long, value_name = "HEAD.toml", help = help::PATTERNS_HEAD)]
     head: Option<PathBuf>,
-    /// Only this set, such as insitu12 or high12, or that of a plan file: what ends in .toml is one [default: all of them]
+    /// Only this set: its name, such as insitu12 or high12, or a plan file (.toml) that names it [default: all sets]
     #[arg(long, value_name = "NAME|PLAN.toml")]
     set: Option<String>,
     /// Images for one view of this tool, which light left flanks, right flanks and the rest in passes of their own

@@ -26,7 +26,7 @@ use crate::output::{Common, Outcome};
 /// Tolerance of the CAD's periodicity for poses one pitch apart to count as alike, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
-/// A cloud laid on a CAD mesh, or on another cloud.
+/// Register a cloud to a CAD mesh or to another cloud.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\nExit codes: 0 registered, 2 indeterminate, 3 could not run.",
@@ -35,7 +35,7 @@ const REPEAT_TOLERANCE_MM: f64 = 0.02;
 pub struct Args {
     #[command(flatten)]
     cad: Option<CadArgs>,
-    /// Another cloud to lay it on, instead of a mesh: PLY, arrays (.npz) or text with `x y z` per line. Each of its points stands for the plane
+    /// Reference cloud instead of a mesh: PLY, arrays (.npz) or text with `x y z` per line. Each of its points stands for the plane
     /// through its 20 nearest neighbours.
     #[arg(long, value_name = "CLOUD")]
     reference: Option<PathBuf>,
@@ -44,26 +44,27 @@ pub struct Args {
     cloud: PathBuf,
     #[command(flatten)]
     cloud_unit: CloudUnit,
-    /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`). Without it, the cloud starts where it is.
+    /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`) [default: identity].
     #[arg(long, value_name = "T.json", conflicts_with = "pairs")]
     init: Option<PathBuf>,
     /// Start pose from picked pairs: per line cloud x,y,z, then CAD x,y,z, mm.
     #[arg(long, value_name = "P.csv")]
     pairs: Option<PathBuf>,
-    /// Standard deviation of a point, mm. All limits of the fit are in proportion: far-off points up to 250 times this take part at
-    /// first, points up to 7.5 times lie on the surface after the fit, a direction is observed below half of it.
+    /// Standard deviation of a point, mm. All limits of the fit scale with it: the first iterations use points up to 250 times this
+    /// distance from the surface, an inlier lies within 7.5 times, and a direction counts as observed if its own standard deviation is
+    /// below half of it.
     #[arg(long, value_name = "MM", default_value_t = TYPICAL_NOISE_MM, value_parser = positive_mm)]
     noise_mm: f64,
     /// Least share of the points that must lie on the surface after the fit, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     least_inliers: f64,
-    /// Teeth about z, where poses one pitch apart look alike [default: what is found in the CAD; of another cloud nothing is known]
+    /// Number of teeth about z, if poses one pitch apart look alike [default: found in the CAD; none for a reference cloud]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1000))]
     teeth: Option<u32>,
-    /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
+    /// Fit to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
-    /// The cloud in CAD coordinates, as binary PLY, or as arrays for NumPy (name.npz); written only when registered.
+    /// Write the cloud in CAD coordinates, as binary PLY or as arrays for NumPy (name.npz); only if it was registered.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

@@ -14,9 +14,9 @@ use crate::inspect::SIMULATED;
 use crate::instrument::{self, seals};
 use crate::output::{Common, Outcome, say};
 
-/// Compute a stored verdict again from its phasors, and name whatever is not the same to the last bit.
+/// Recompute a stored verdict from its phasors and list everything that is not the same to the last bit.
 ///
-/// Tool, head and CAD are read from --tool as they are now; teeth, temperature, grid and baseline are those of the check.
+/// Tool, head and CAD are read from --tool; teeth, temperature, grid and baseline are those of the check.
 #[derive(clap::Args)]
 #[command(
     after_help = format!(
@@ -37,10 +37,10 @@ pub struct Args {
     all: bool,
     #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
-    /// Head file instead of the tool folder's, as inspect was given it
+    /// Head file used for the check, instead of the tool folder's
     #[arg(long, value_name = "HEAD.toml")]
     head: Option<PathBuf>,
-    /// File of the station, as inspect was given it
+    /// Station file used for the check
     #[arg(long, value_name = "STATION.toml")]
     station: Option<PathBuf>,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::geometry::{Cad, CadArgs, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
-/// Area-uniform random points on a CAD mesh.
+/// Sample random points on a CAD mesh, uniformly by area.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope sample --cad die.stl --count 100000 --seed 1 -o alpha.ply"

@@ -38,12 +38,12 @@ use crate::terminal::Terminal;
 
 #[derive(clap::Args)]
 #[command(
-    about = "Scan the whole die: many views, laid on the CAD together, merged into one map",
+    about = "Scan the whole die: many views, registered to the CAD together and merged into one map",
     long_about = help::SCAN,
     after_help = format!(
         "{}\n\n\
-        The verdict covers the teeth and heights of --views, and states their share of the bore. If less was measured than\n\
-    requested, it is indeterminate. With --tool the link is named.\n\n\
+        The verdict covers the teeth and heights of --views and states their share of the bore. If less was measured than requested, it \
+        is indeterminate. --tool needs --link.\n\n\
     Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn",
         help::SCAN_EXAMPLE
     )
@@ -64,12 +64,12 @@ pub struct Args {
         conflicts_with_all = ["frames", "clouds"]
     )]
     views: Grid,
-    /// Scan the frames in this folder, which were recorded before, as its frames.toml says: nothing moves, and no controller
-    /// or camera is asked. Views are those of the recording
+    /// Evaluate the recorded frames in this folder, described by its frames.toml, without controller and camera. The views are
+    /// those of the recording
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
-    /// Scan the clouds in this folder, which were recorded before, as its clouds.toml says: points of every view in the camera's
-    /// frame, without their frames. They give a map, but no flank can be judged go
+    /// Evaluate the recorded clouds in this folder, described by its clouds.toml: points of every view in the camera's frame,
+    /// without the camera's images. The result is a map; no flank can be go
     #[arg(long, value_name = "DIR", conflicts_with = "frames")]
     clouds: Option<PathBuf>,
     /// Also write the cloud of every view, with the uncertainty of every point, into this folder, for --clouds later
@@ -78,8 +78,8 @@ pub struct Args {
     /// Also write every frame of this scan into this folder, for --frames later: the camera's raw counts, 4.6 MB each
     #[arg(long, value_name = "DIR", conflicts_with_all = ["frames", "clouds"])]
     save_frames: Option<PathBuf>,
-    /// Result of an earlier scan of this die (its --json file or report folder): finds out whether the die was rotated by
-    /// whole teeth since, from the deviations of its flanks
+    /// Result of an earlier scan of this die (its --json file or report folder): its flanks' deviations show
+    /// whether the die was rotated by whole teeth since
     #[arg(long, value_name = "SCAN.json")]
     reference: Option<PathBuf>,
     /// Keep every view in this folder, and continue the scan that is there [default: a temporary folder]
@@ -88,22 +88,23 @@ pub struct Args {
     /// Write report.html, scan.json and map.ply into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen, as triangles alone (name.stl), or as arrays for NumPy (name.npz)
+    /// Write the measured surface, with holes where nothing was seen: a coloured PLY mesh, triangles alone (name.stl), or arrays for
+    /// NumPy (name.npz)
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// Spacing of that mesh along the profile and the axis, from every point of every view [default: the cells of map.ply]
+    /// Vertex spacing of that mesh along the profile and the axis [default: that of map.ply]
     #[arg(long, value_name = "MM", requires = "mesh")]
     mesh_mm: Option<f64>,
     /// Write every measured point of every view in its final pose in the tool frame, as a binary PLY or as arrays for NumPy
     /// (name.npz): a whole die is 42 million points, 0.8 GB
     #[arg(long, value_name = "FILE")]
     cloud: Option<PathBuf>,
-    /// Also read profile, helix and pitch of every tooth (ISO 1328-1) from every point of every view: `gear` in the JSON, gear.csv
-    /// in the report
+    /// Also evaluate profile, helix and pitch of every tooth (ISO 1328-1) from all points: `gear` in the JSON, gear.csv in the
+    /// report
     #[arg(long)]
     gear: bool,
-    /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
-    /// the article's figures beside ours
+    /// How views are registered: all together to the surface; one after the other by the article's method (a map without a
+    /// verdict); or both, the article's figures beside ours
     #[arg(long, value_enum, default_value_t = MethodName::Surface)]
     method: MethodName,
     #[command(flatten)]

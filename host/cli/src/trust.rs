@@ -13,11 +13,11 @@ use serde_json::{Value, json};
 use crate::instrument::seals;
 use crate::output::{Common, Outcome};
 
-/// Say by name that a file is to be believed as it is, though this station did not sign it or somebody changed it since.
+/// Accept a file, by name, that this station did not sign or that was changed since.
 ///
-/// Baselines, calibrated heads, self-tests, scans and scan sessions are believed as long as their content is what it is now. Of
-/// a history every row is linked anew, and the name is its last row. A history that is gone may begin anew. Without FILE: the
-/// station's id and what it trusts.
+/// Baselines, calibrated heads, self-tests, scans and scan sessions are accepted with their present content; any later change needs a
+/// new acceptance. All rows of a history are chained anew, and the acceptance is stored as its last row. If the file of a history is
+/// missing, a new one may be started under its path. Without FILE: the station's id and the files that it accepts.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope trust new-head/head.toml --name Ada\n  flankscope trust\n\n\

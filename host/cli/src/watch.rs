@@ -24,9 +24,8 @@ use crate::terminal::Terminal;
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
-/// A no-go stays until it is acknowledged: write a line to standard input, your name for example. With a history it stays
-/// even when this program is stopped and started again. Every verdict is sent to the
-/// press, which treats it as no-go when this program stops.
+/// A no-go stands until it is acknowledged by a line on standard input, for example your name; with a history, also after this
+/// program was stopped and started again. Every verdict is sent to the press, which assumes no-go when this program stops.
 #[derive(clap::Args)]
 #[command(
     after_help = format!(
@@ -38,14 +37,14 @@ use crate::terminal::Terminal;
 pub struct Args {
     #[command(flatten)]
     source: Source,
-    /// Press cycles from check to check
+    /// Press cycles between checks
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
     /// End after this many press cycles [default: never]
     #[arg(long)]
     cycles: Option<u32>,
-    /// Write the last check's report.html, every check's own page (reports/), an index and a line per check (checks.jsonl) into
-    /// this folder
+    /// Write the last check's report.html, a page per check (reports/), an index, and a line per check (checks.jsonl) into this
+    /// folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]

@@ -30,11 +30,11 @@ use flankscope_record::origin::Origin;
 
 /// Definitions of a check's results: the same text in reports, help texts and documentation.
 pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in \
-its zone; nothing is presumed of the damage's shape. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is \
+its zone; no shape of the damage is assumed. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is \
 the judged part of a flank: zone_radius_mm by zone_height_mm in tool.toml. Proud is the largest mean height of material over \
 such a disc, cell the loss of the single cell that lost most (a cell is a fifth of the disc's diameter wide), tip the radius of \
-the tip edge's rounding. Detects is the least wear that is told from none with 5 % errors of both kinds: damage that takes less \
-than that off every disc of the stated area can hide.";
+the tip edge's rounding. Detects is the detection limit: the least wear that is distinguished from none with an error probability \
+of 5 % either way; damage with a smaller mean loss over every disc may not be noticed.";
 
 /// An entry on the origin of a result: its name and value.
 type Fact = (&'static str, String);

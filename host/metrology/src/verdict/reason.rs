@@ -49,7 +49,7 @@ codes! {
     /// A figure too near to a limit for its uncertainty.
     Undecidable = "undecidable", "measure again (inspect.remeasure), or look at the flank";
     /// Too little of the zone was measured.
-    Coverage = "coverage", "clean flank and head, or look from another height";
+    Coverage = "coverage", "clean flank and head; spray polished steel, or light it in passes (--adaptive); or look from another height";
     /// No disc fits into what was measured of the zone.
     NoDisc = "no_disc", "judge a larger zone, or smaller discs (inspect.wear_area_mm2)";
     /// Wear hidden in unmeasured areas may exceed a limit.
@@ -252,7 +252,7 @@ pub enum Reason {
     },
     /// Damage at the warning limit would not be seen.
     #[error(
-        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Number(*detects_um), warn_um = Number(*warn_um))]
+        "the least wear that can be distinguished from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Number(*detects_um), warn_um = Number(*warn_um))]
     Detection {
         /// Detection limit of wear, µm.
         detects_um: f64,

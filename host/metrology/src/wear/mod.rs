@@ -209,7 +209,7 @@ impl FlankWear {
         self.judged.map(|judged| judged.wear_mm)
     }
 
-    /// The least wear that is told from none with 5 % errors of both kinds, mm.
+    /// The least wear that is distinguished from none with an error probability of 5 % either way, mm.
     pub fn detection_limit_mm(&self) -> f64 {
         DETECTION_FACTOR * self.budget.without_wear_mm()
     }
