@@ -179,7 +179,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     }
     assert!(compared >= 3, "{compared}");
     // Ours and the article's lie on the drawing all around.
-    for name in ["paper", "surface"] {
+    for name in ["article", "surface"] {
         let at = laid(name, 42);
         let told_mm = off_mm(&at, centre(&at));
         assert!(
@@ -188,7 +188,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         );
     }
     let exact_um = |name: &str| alignment(&made, name)["exact"]["rms_um"].as_f64().unwrap();
-    assert!(exact_um("serial") > 5.0 * exact_um("paper"));
+    assert!(exact_um("serial") > 5.0 * exact_um("article"));
     // The die stands 0.5 mm off the axis: positions alone are off by as much as that, seen from where the first view was laid.
     assert!(
         (200.0..1500.0).contains(&exact_um("positions")),
@@ -203,7 +203,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         .map(|(p, _)| moved(&pose(&initial["tool_from_camera"]), *p))
         .collect();
     let half_pitch_mm = 0.5 * TAU / 84.0 * demo_gear().root_radius_mm;
-    let (start, end) = (centre(&first), centre(&laid("paper", 0)));
+    let (start, end) = (centre(&first), centre(&laid("article", 0)));
     let apart_mm = (0..3)
         .map(|k| (start[k] - end[k]).powi(2))
         .sum::<f64>()
@@ -246,7 +246,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         "--session",
         session.to_str().unwrap(),
         "--method",
-        "paper",
+        "article",
         "--article-settings",
         &settings,
     ]);

@@ -125,7 +125,7 @@ fn what_is_no_recording_of_clouds_is_refused_by_name() {
     let index = "simulated = true\n[[view]]\nfile = \"a.ply\"\ntooth = 40\n";
     std::fs::write(folder.path().join("clouds.toml"), index).unwrap();
     refused(&["--clouds", at], "a.ply");
-    refused(&["--clouds", at, "--method", "paper"], "fringes");
+    refused(&["--clouds", at, "--method", "article"], "fringes");
     refused(&["--clouds", at, "--views", "12x1"], "--views");
     refused(&["--clouds", at, "--frames", at], "--frames");
     refused(&["--save-clouds", at], "is not empty");

@@ -172,7 +172,7 @@ fn figure(run: &Run, path: &str) -> f64 {
 /// The same views, stitched the article's way: form is lost, and its metric reports its own sampling.
 fn the_article_loses_the_form(run: &Run) {
     assert_eq!(run.json["methods"][0]["method"], "surface");
-    assert_eq!(run.json["methods"][1]["method"], "paper");
+    assert_eq!(run.json["methods"][1]["method"], "article");
     assert_eq!(run.json["methods"][1]["registered_views"], 24);
     assert_eq!(
         figure(run, "/methods/0/form/ovality_um"),
@@ -311,7 +311,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let moved = figure(&resumed, "/form/ovality_um") - figure(&whole, "/form/ovality_um");
     assert!(moved.abs() < 1.0, "{moved} µm");
     // The article's map alone has no verdict.
-    let article = oval_and_conical(&session, &report, "paper");
+    let article = oval_and_conical(&session, &report, "article");
     assert_eq!(article.code, 2);
     assert!(figure(&article, "/form/ovality_um") < 10.0);
     assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
@@ -327,7 +327,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let other = other.replace("\ninlier_ratio = 0.8 ", "\ninlier_ratio = 0.7 ");
     std::fs::write(settings, other).unwrap();
     let rest = ["--article-settings", settings];
-    let preset = oval_and_conical_with(&session, &report, "paper", &rest);
+    let preset = oval_and_conical_with(&session, &report, "article", &rest);
     let told = &preset.json["methods"][1]["settings"];
     assert_eq!(
         told["denoise"],
@@ -543,7 +543,7 @@ fn told(method: &str, lines: &str) -> Run {
 fn the_articles_settings_need_its_method() {
     let wrong = told("surface", "mask_dn = 20.0\n");
     assert_eq!(wrong.code, 3);
-    let said = "--article-settings is for the article's method: add --method paper";
+    let said = "--article-settings is for the article's method: add --method article";
     assert!(wrong.stderr.contains(said), "{}", wrong.stderr);
 }
 
@@ -582,7 +582,7 @@ fn settings_that_cannot_be_are_named_with_what_can() {
             "" => (format!("{line}\n"), 1),
             table => (format!("[{table}]\n{line}\n"), 2),
         };
-        let wrong = told("paper", &lines);
+        let wrong = told("article", &lines);
         assert_eq!(wrong.code, 3, "{line}");
         assert!(wrong.stderr.contains(can), "{line}: {}", wrong.stderr);
         // What is missing from a table is missed at its head.

@@ -195,7 +195,7 @@ fn known_slopes_and_pitches_come_back_within_their_uncertainty() {
 
 #[test]
 fn what_claims_no_uncertainty_is_no_gear() {
-    let refused = scan(&["--views", "12x1", "--method", "paper"]);
+    let refused = scan(&["--views", "12x1", "--method", "article"]);
     assert_eq!(refused.code, 3);
     assert!(
         refused.stderr.contains("--gear: the article's method"),

@@ -23,7 +23,7 @@ pub(crate) struct Yardstick<'a> {
 /// The views as one way of alignment lays them.
 #[derive(Clone, Debug, Serialize)]
 pub struct Alignment {
-    /// `positions`, `serial`, `paper` or `surface`.
+    /// `positions`, `serial`, `article` or `surface`.
     pub name: &'static str,
     /// Views that it laid.
     pub views: usize,

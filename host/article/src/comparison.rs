@@ -12,12 +12,12 @@ use flankscope_metrology::view::PlannedView;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use crate::hinz2019::{Hinz2019Settings, Hinz2019Stitched};
+use crate::method::{ArticleSettings, ArticleStitched};
 
 /// One way to stitch, in figures.
 #[derive(Clone, Debug, Serialize)]
 pub struct MethodResult {
-    /// `surface` or `paper`.
+    /// `surface` or `article`.
     pub method: &'static str,
     /// What the first pose rests on.
     pub start: &'static str,
@@ -40,7 +40,7 @@ pub struct MethodResult {
     pub iterations: Option<Vec<Option<usize>>>,
     /// What the article's method was told; absent for ours.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub settings: Option<Hinz2019Settings>,
+    pub settings: Option<ArticleSettings>,
     /// Whether that, or where the views lie, drifts.
     pub drift: ScanDrift,
     /// From the views of the session to the map, ms.
@@ -256,10 +256,10 @@ impl MethodResult {
 
     /// The article's in figures; `shared` is what our adjustment found of die, head and stages.
     #[must_use]
-    pub fn of_hinz2019(
-        stitched: &Hinz2019Stitched,
+    pub fn of_article(
+        stitched: &ArticleStitched,
         shared: &Stages,
-        settings: &Hinz2019Settings,
+        settings: &ArticleSettings,
         planned: &[PlannedView],
         took: Duration,
     ) -> Self {
@@ -275,7 +275,7 @@ impl MethodResult {
             figures[laid.view] = Some(ViewFigures::new(laid.rms_mm, laid.centre_mm, off_mm));
         }
         Self {
-            method: "paper",
+            method: "article",
             start: match settings.first_pose {
                 Some(_) => "picked pairs",
                 None => "priors of stages and hand-eye, tooth phase searched; no pairs were picked",

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::comparison::{JointSolve, MethodResult};
 use crate::drawn::{Drawn, coordinates, laid};
-use crate::hinz2019::{self, Drawing, Hinz2019Settings};
+use crate::method::{self, ArticleSettings, Drawing};
 use crate::{
     Alignment, ArticleError, InSpace, InitialTransformation, Left, MaskPicture, Merging, Overlay,
     Sections, SerialLayer, ViewPoints, alignment, merging, overlay, serial, threshold,
@@ -54,7 +54,7 @@ pub struct Article {
     /// Whose views these are: grid, hashes, and what stood on a simulated bench.
     pub of: BTreeMap<String, String>,
     /// What the article's method was told.
-    pub settings: Hinz2019Settings,
+    pub settings: ArticleSettings,
     /// Ours and the article's, as in a scan's document.
     pub methods: Vec<MethodResult>,
     /// Mean number of steps of the article's registrations.
@@ -154,7 +154,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
     ///
     /// # Errors
     /// No view lies on the CAD, or points cannot be read.
-    pub fn article(self, settings: &Hinz2019Settings) -> Result<Article, ArticleError<P::Error>> {
+    pub fn article(self, settings: &ArticleSettings) -> Result<Article, ArticleError<P::Error>> {
         let Self {
             points: scanned,
             tool,
@@ -172,10 +172,10 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
             took
         };
         let map = CylinderMap::new(cells);
-        let paper = hinz2019::stitch(scanned, tool, planned, self.nominal, map, settings)?;
-        let took = lap("paper");
+        let stitched = method::stitch(scanned, tool, planned, self.nominal, map, settings)?;
+        let took = lap("article");
         let shared = &joint.adjustment.stages;
-        let theirs = MethodResult::of_hinz2019(&paper, shared, settings, planned, took);
+        let theirs = MethodResult::of_article(&stitched, shared, settings, planned, took);
 
         let joint_poses: BTreeMap<usize, Isometry3<f64>> = joint
             .views
@@ -183,12 +183,12 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
             .zip(&joint.adjustment.poses)
             .map(|((view, _), pose)| (*view, *pose.isometry()))
             .collect();
-        let paper_poses: BTreeMap<usize, Isometry3<f64>> = paper
+        let article_poses: BTreeMap<usize, Isometry3<f64>> = stitched
             .views
             .iter()
             .map(|of| (of.view, of.tool_from_camera))
             .collect();
-        let Some((&first_view, &first_pose)) = paper_poses.first_key_value() else {
+        let Some((&first_view, &first_pose)) = article_poses.first_key_value() else {
             return Err(ArticleError::NothingLaid {
                 views: joint_poses.len(),
             });
@@ -256,7 +256,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
         };
         lap("serial");
 
-        let reference = hinz2019::whole_reference(tool, settings);
+        let reference = method::whole_reference(tool, settings);
         let reference = SampleTree::new(&reference)?;
         let layout = Layout {
             columns: COLUMNS_PER_TOOTH * tool.gear.as_ref().map_or(1, |gear| gear.teeth as usize),
@@ -276,14 +276,14 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
         for (name, poses) in [
             ("positions", &by_positions),
             ("serial", &serial.poses),
-            ("paper", &paper_poses),
+            ("article", &article_poses),
             ("surface", &joint_poses),
         ] {
             if poses.is_empty() {
                 continue;
             }
             let (of, points) = Alignment::of(name, &views, poses, planned.len(), &by);
-            if let ("paper", Some(initial)) = (name, &paper.initial) {
+            if let ("article", Some(initial)) = (name, &stitched.initial) {
                 let cloud = points.into_iter().zip(of.nearest_um.iter().copied());
                 let (mesh, options) = (&tool.mesh, &settings.registration);
                 in_space = InSpace::of(mesh, &views, poses, initial, options, cloud.collect());
@@ -292,7 +292,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
         }
         lap("alignments");
         let mut merging = Vec::new();
-        for (name, poses) in [("paper", &paper_poses), ("surface", &joint_poses)] {
+        for (name, poses) in [("article", &article_poses), ("surface", &joint_poses)] {
             merging.extend(merging::ways(
                 name,
                 &views,
@@ -303,7 +303,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
         }
         lap("merging");
         let (overlays, one_view_um) =
-            overlay::overlays(&views, &paper_poses, &tool.mesh, settings, OVERLAID);
+            overlay::overlays(&views, &article_poses, &tool.mesh, settings, OVERLAID);
         lap("overlays");
         Ok(Article {
             tool: tool.name.clone(),
@@ -314,7 +314,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
             methods: vec![self.ours, theirs],
             steps,
             threshold,
-            initial_transformation: paper.initial,
+            initial_transformation: stitched.initial,
             alignments,
             serial: serial.layers,
             serial_refused,

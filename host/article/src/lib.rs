@@ -11,7 +11,7 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `hinz2019` | settings of the method, and all views to one map by it |
+//! | `method` | settings of the method, and all views to one map by it |
 //! | `comparison` | both methods in the same figures |
 //! | `drawn` | the drawn points of a view |
 //! | `figures` | the document: all figures and tables of one scan |
@@ -27,8 +27,8 @@ mod alignment;
 mod comparison;
 mod drawn;
 mod figures;
-mod hinz2019;
 mod merging;
+mod method;
 mod overlay;
 mod sections;
 mod serial;
@@ -41,10 +41,8 @@ use flankscope_metrology::deviation::SampleTreeError;
 pub use alignment::Alignment;
 pub use comparison::{Creep, JointSolve, LayerDrift, MethodResult, ScanDrift, Spread, Trend};
 pub use figures::{Article, DrawingSteps, FirstView, StitchedScan};
-pub use hinz2019::{
-    Denoise, Hinz2019Settings, Hinz2019Stitched, Hinz2019View, MERGED_PER_MM2, stitch,
-};
 pub use merging::Merging;
+pub use method::{ArticleSettings, ArticleStitched, ArticleView, Denoise, MERGED_PER_MM2, stitch};
 pub use overlay::Overlay;
 pub use sections::Sections;
 pub use serial::SerialLayer;

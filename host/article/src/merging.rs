@@ -14,7 +14,7 @@ use crate::drawn::{Drawn, laid};
 /// A merged cloud.
 #[derive(Clone, Debug, Serialize)]
 pub struct Merging {
-    /// Whose poses: `paper` or `surface`.
+    /// Whose poses: `article` or `surface`.
     pub poses: &'static str,
     /// `centre of mass` (the article's), `best by mask` (its section 10), `best by sigma`, `weighted by sigma` (ours).
     pub way: &'static str,

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use flankscope_metrology::io::mesh::TriMesh;
-use flankscope_metrology::registration::{Hinz2019Options, PaperReference};
+use flankscope_metrology::registration::{ArticleOptions, ArticleReference};
 use flankscope_metrology::surface::sampling::centre_of_mass;
 use nalgebra::Isometry3;
 
 use crate::drawn::{Drawn, laid};
-use crate::hinz2019::Hinz2019Settings;
+use crate::method::ArticleSettings;
 
 /// Thickness of the slice that is shown, mm: so many points that teeth are seen, and not more.
 const SLICE_MM: f64 = 0.6;
@@ -30,7 +30,7 @@ pub(crate) fn overlays(
     views: &BTreeMap<usize, Drawn>,
     poses: &BTreeMap<usize, Isometry3<f64>>,
     mesh: &TriMesh,
-    settings: &Hinz2019Settings,
+    settings: &ArticleSettings,
     count: usize,
 ) -> (Vec<Overlay>, Vec<f64>) {
     let clouds: Vec<(usize, Vec<[f64; 3]>)> = poses
@@ -47,11 +47,11 @@ pub(crate) fn overlays(
         let Some(centre) = centre_of_mass(middle) else {
             continue;
         };
-        let options = Hinz2019Options {
+        let options = ArticleOptions {
             seed: settings.registration.seed,
             ..settings.registration
         };
-        let Some(reference) = PaperReference::new(mesh, centre, &options) else {
+        let Some(reference) = ArticleReference::new(mesh, centre, &options) else {
             continue;
         };
         if found.is_empty() {

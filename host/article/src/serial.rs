@@ -6,7 +6,7 @@ use flankscope_foundation::order::quantile;
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::Order;
 use flankscope_metrology::multiview::adjustment::Stages;
-use flankscope_metrology::registration::{Hinz2019Options, PaperReference, register_to_reference};
+use flankscope_metrology::registration::{ArticleOptions, ArticleReference, register_to_reference};
 use flankscope_metrology::view::PlannedView;
 use nalgebra::{Isometry3, Point3};
 use serde::Serialize;
@@ -48,7 +48,7 @@ pub(crate) fn serial(
     views: &BTreeMap<usize, Drawn>,
     joint: &BTreeMap<usize, Isometry3<f64>>,
     planned: &[PlannedView],
-    options: &Hinz2019Options,
+    options: &ArticleOptions,
     inlier_ratio: Option<f64>,
 ) -> Result<Serial, String> {
     let mut found = Serial {
@@ -71,7 +71,8 @@ pub(crate) fn serial(
         // From where `before` lies to `view`, by what the stages were told, and then by what both show.
         let mut step = |pose: &Isometry3<f64>, before: usize, view: usize| {
             let start = moved(view) * moved(before).inverse() * pose;
-            let Some(reference) = PaperReference::of_points(laid(&views[&before].xyz, pose)) else {
+            let Some(reference) = ArticleReference::of_points(laid(&views[&before].xyz, pose))
+            else {
                 return Ok(start);
             };
             let distances = reference.distances(&laid(&views[&view].xyz, &start), Order::Two);
@@ -84,7 +85,7 @@ pub(crate) fn serial(
                 ));
             }
             common.push(ratio);
-            let options = Hinz2019Options {
+            let options = ArticleOptions {
                 inlier_ratio: inlier_ratio.unwrap_or(options.inlier_ratio.min(TRUSTED * ratio)),
                 ..*options
             };

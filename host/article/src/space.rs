@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::io::mesh::TriMesh;
-use flankscope_metrology::registration::Hinz2019Options;
+use flankscope_metrology::registration::ArticleOptions;
 use flankscope_metrology::surface::sampling::{Region, centre_of_mass};
 use nalgebra::Isometry3;
 use serde::Serialize;
@@ -63,7 +63,7 @@ impl InSpace {
         views: &BTreeMap<usize, Drawn>,
         poses: &BTreeMap<usize, Isometry3<f64>>,
         initial: &InitialTransformation,
-        options: &Hinz2019Options,
+        options: &ArticleOptions,
         cloud: Vec<([f64; 3], f64)>,
     ) -> Option<Self> {
         let (first, pose) = (views.get(&initial.view)?, poses.get(&initial.view)?);

@@ -3,18 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_article::{Article, Hinz2019Settings, MethodResult};
+use flankscope_article::{Article, ArticleSettings, MethodResult};
 use flankscope_instrument::acquisition::Recording;
 use flankscope_jobs::scan::FinishedScan;
 use flankscope_jobs::subject::Subject;
 use flankscope_record::sink::ResultSink;
 use flankscope_report::ReportFolder;
 
+use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::tell;
 use crate::help;
 use crate::instrument::subject;
 use crate::output::{Common, Outcome, say, try_folder, write_whole};
-use crate::paper::ArticleSettings;
 
 /// Compute the published article's figures and tables for a scan, by its method and by ours, as one page.
 #[derive(clap::Args)]
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long, value_name = "STATION.toml")]
     station: Option<PathBuf>,
     #[command(flatten)]
-    paper: ArticleSettings,
+    article: ArticleSettingsFile,
     /// Seed of the article's random points: that of the scan
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -52,13 +52,13 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(file) = &args.write_settings {
-        write_whole(file, Hinz2019Settings::FILE.as_bytes())?;
+        write_whole(file, ArticleSettings::FILE.as_bytes())?;
         return Ok(Outcome::Done);
     }
     let (Some(folder), Some(report)) = (&args.scan, &args.report) else {
         anyhow::bail!("--scan DIR and --report DIR are needed");
     };
-    let settings = args.paper.load(args.seed)?;
+    let settings = args.article.load(args.seed)?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     args.common.try_json()?;
     try_folder(report, ReportFolder::OF_ARTICLE).context("--report")?;

@@ -3,6 +3,7 @@
 //! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn · 130 interrupted.
 
 mod article;
+mod article_settings;
 #[cfg(feature = "bench")]
 mod bench_link;
 #[cfg(not(feature = "bench"))]
@@ -27,7 +28,6 @@ mod interrupt;
 mod manual;
 mod merge;
 mod output;
-mod paper;
 mod patterns;
 mod progress;
 mod register;

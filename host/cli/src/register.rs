@@ -11,8 +11,8 @@ use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::registration::{
-    Hinz2019Options, Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM,
-    detect_teeth, register, register_hinz2019,
+    ArticleOptions, Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM,
+    detect_teeth, register, register_by_article,
 };
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::verdict::Code;
@@ -90,7 +90,9 @@ fn share(text: &str) -> Result<f64, String> {
 #[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
 enum Method {
     Surface,
-    Paper,
+    // Its earlier name is understood, too.
+    #[value(alias = "paper")]
+    Article,
 }
 
 #[derive(Serialize)]
@@ -205,9 +207,9 @@ impl Args {
         let prepared = Instant::now();
         let found = match self.method {
             Method::Surface => register(&surface, &cloud.points, None, &options),
-            Method::Paper => {
-                let paper = Hinz2019Options::default();
-                register_hinz2019(&mesh, &cloud.points, &initial, &paper).0
+            Method::Article => {
+                let options = ArticleOptions::default();
+                register_by_article(&mesh, &cloud.points, &initial, &options).0
             }
         };
         Ok(Laid {
@@ -221,7 +223,7 @@ impl Args {
     fn on_cloud(&self, reference: &Path, start: Instant) -> anyhow::Result<Laid> {
         anyhow::ensure!(
             self.method == Method::Surface,
-            "--method paper draws its points on a mesh: name one by --cad instead of --reference"
+            "--method article draws its points on a mesh: name one by --cad instead of --reference"
         );
         let other = load_cloud(reference, self.cloud_unit)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_article::{Article, Hinz2019Settings, MethodResult, Spread};
+use flankscope_article::{Article, ArticleSettings, MethodResult, Spread};
 use flankscope_foundation::seal::Seal;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::{RecordedFrames, recording_id};
@@ -23,6 +23,7 @@ use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
 use flankscope_report::{ReportFolder, figure, scan_mesh};
 
+use crate::article_settings::ArticleSettingsFile;
 use crate::bench_link::{BenchSetup, DieArgs, fits_recording, in_words, seed};
 use crate::gear::write_evaluation;
 use crate::geometry::write_file;
@@ -31,7 +32,6 @@ use crate::inspect::{self, write_origin};
 use crate::instrument::{Instrument, recorded_subject, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
-use crate::paper::ArticleSettings;
 use crate::scene::Scene;
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
@@ -108,7 +108,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = MethodName::Surface)]
     method: MethodName,
     #[command(flatten)]
-    paper: ArticleSettings,
+    article: ArticleSettingsFile,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -119,23 +119,25 @@ pub struct Args {
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum MethodName {
     Surface,
-    Paper,
+    // Its earlier name is understood, too.
+    #[value(alias = "paper")]
+    Article,
     Both,
 }
 
 impl Args {
     /// Stitching method, and the settings of the article's method.
-    fn stitching(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
+    fn stitching(&self, seed: u64) -> anyhow::Result<(Method, ArticleSettings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
-            MethodName::Paper => Method::Hinz2019,
+            MethodName::Article => Method::Article,
             MethodName::Both => Method::Both,
         };
         anyhow::ensure!(
-            self.paper.article_settings.is_none() || method != Method::Surface,
-            "--article-settings is for the article's method: add --method paper or both"
+            self.article.article_settings.is_none() || method != Method::Surface,
+            "--article-settings is for the article's method: add --method article or both"
         );
-        Ok((method, self.paper.load(seed)?))
+        Ok((method, self.article.load(seed)?))
     }
 }
 
@@ -150,8 +152,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
     let bench = args.die.setup()?;
-    let (method, paper) = args.stitching(seed(&bench))?;
-    if args.gear && method == Method::Hinz2019 {
+    let (method, article) = args.stitching(seed(&bench))?;
+    if args.gear && method == Method::Article {
         anyhow::bail!(
             "--gear: the article's method claims no uncertainty; --method surface or both does"
         );
@@ -197,7 +199,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         if let Some(spacing_mm) = args.mesh_mm {
             scanner.check_spacing(spacing_mm).context("--mesh-mm")?;
         }
-        Ok(scanner.by_method(method, paper)?)
+        Ok(scanner.by_method(method, article)?)
     };
     let mut scanning = match (&recording, clouds) {
         (Some(recording), _) => args.recorded(recording, &site, session, set_up)?,

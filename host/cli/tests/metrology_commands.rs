@@ -254,15 +254,15 @@ fn run_a_moved_patch_is_laid_back(cad: &Path) {
         "--cloud",
         "view.xyz",
         "--method",
-        "paper",
+        "article",
         "-o",
-        "paper.ply",
+        "article.ply",
         "--json",
         "-",
     ];
     let output = flankscope(folder.path(), &args);
     assert_eq!(json(&output)["status"], "registered", "{output:?}");
-    let laid = cloud::load(&folder.path().join("paper.ply"), Unit::Mm)
+    let laid = cloud::load(&folder.path().join("article.ply"), Unit::Mm)
         .unwrap()
         .points;
     let sum: f64 = laid

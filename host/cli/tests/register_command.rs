@@ -68,8 +68,8 @@ fn what_it_is_laid_on_is_asked_for_and_looked_at() {
     }
     for (more, words) in [
         (
-            &["--reference", "old.xyz", "--method", "paper"][..],
-            &["--method paper", "--cad"][..],
+            &["--reference", "old.xyz", "--method", "article"][..],
+            &["--method article", "--cad"][..],
         ),
         (&["--reference", "few.xyz"], &["few.xyz", "12", "20"]),
         (&["--reference", "missing.xyz"], &["missing.xyz"]),

@@ -110,7 +110,7 @@ pub fn article_html(article: &Article) -> Result<String, askama::Error> {
             "each view on the one before, without CAD (figure 4b)",
         ),
         (
-            "paper",
+            "article",
             "each view on the CAD, the article's way (figure 20)",
         ),
         ("surface", "all views on the CAD together: ours"),
@@ -142,9 +142,9 @@ pub fn article_html(article: &Article) -> Result<String, askama::Error> {
             .as_ref()
             .map(|space| Scenes::of(space, MAP_UM)),
         overlays: article.overlays.iter().map(overlay).collect(),
-        rms: rms(article, map("paper")),
+        rms: rms(article, map("article")),
         iterations: iterations(article),
-        histograms: histograms(article, map("paper")),
+        histograms: histograms(article, map("article")),
         sections: article.sections.as_ref().map(cuts),
     };
     page.render()
@@ -156,7 +156,7 @@ fn of_method<'a>(article: &'a Article, name: &str) -> Option<&'a MethodResult> {
 
 /// Values that the article reports, with the corresponding ones here.
 fn rows(article: &Article) -> Vec<Row> {
-    let [ours, theirs] = ["surface", "paper"].map(|name| of_method(article, name));
+    let [ours, theirs] = ["surface", "article"].map(|name| of_method(article, name));
     let spread = |of: Option<Spread>| {
         of.map_or_else(
             || "–".into(),
@@ -179,7 +179,7 @@ fn rows(article: &Article) -> Vec<Row> {
         let found = article
             .merging
             .iter()
-            .find(|of| of.poses == "paper" && of.way == way);
+            .find(|of| of.poses == "article" && of.way == way);
         found.map_or_else(|| "–".into(), |of| of.points.to_string())
     };
     vec![
@@ -482,7 +482,7 @@ fn rms(article: &Article, of: Option<&Alignment>) -> String {
 /// Number of registrations by number of iterations.
 fn iterations(article: &Article) -> String {
     let most = article.settings.registration.most_iterations.clamp(1, 60);
-    let theirs = of_method(article, "paper");
+    let theirs = of_method(article, "article");
     let steps: Vec<usize> = theirs
         .and_then(|of| of.iterations.as_ref())
         .into_iter()

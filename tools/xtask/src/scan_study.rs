@@ -128,7 +128,7 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
          A die that is {OVALITY_UM} µm oval and {TAPER_UM} µm conical, put on the simulated bench 0.5 mm off and 0.2° askew, \
          with a hand-eye known to 1° and 0.5 mm, an encoder with harmonics and axes that are not parallel; {VIEWS} views, \
          every seed with other errors. The same captured views are stitched in one joint solve on the surface (`surface`) and \
-         view by view on random CAD points, as in the article (`paper`). `exact` is the root mean square of the exact \
+         view by view on random CAD points, as in the article (`article`). `exact` is the root mean square of the exact \
          distances in the merged map, `one view` and `merged` are mean ± standard deviation by the method's own metric. A drift is \
          the part of where the views lie, against what all of them share, that neighbours in a layer have in common \
          (Durbin–Watson beyond chance).\n\n\
@@ -139,7 +139,7 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
     let mut worst = [[0.0_f64; 2]; 2];
     let (mut lines, mut steps) = (String::new(), String::new());
     for (seed, scan) in scans {
-        for (index, method) in ["surface", "paper"].into_iter().enumerate() {
+        for (index, method) in ["surface", "article"].into_iter().enumerate() {
             let row = row(scan, index)?;
             worst[index][0] = worst[index][0].max((row.ovality_um - OVALITY_UM).abs());
             worst[index][1] = worst[index][1].max((row.taper_um - TAPER_UM).abs());
@@ -166,7 +166,7 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
     }
     write!(
         page,
-        "\nFarthest from what was put in: `surface` {:.1} µm of ovality and {:.1} µm of taper, `paper` {:.1} and {:.1} µm.\n\n\
+        "\nFarthest from what was put in: `surface` {:.1} µm of ovality and {:.1} µm of taper, `article` {:.1} and {:.1} µm.\n\n\
          ## Steps between layers\n\n\
          Neighbours in height share a strip of 2 mm. Root mean square of the steps between them, with every view laid on the CAD \
          alone and with what neighbours say of each other; a solve that took the lean of the wall for one of the head would leave \

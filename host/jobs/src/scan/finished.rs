@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-use flankscope_article::{Article, ArticleError, Hinz2019Settings, Sections, StitchedScan};
+use flankscope_article::{Article, ArticleError, ArticleSettings, Sections, StitchedScan};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::Stages;
 
@@ -118,7 +118,7 @@ impl FinishedScan {
     ///
     /// # Errors
     /// No view is registered to the CAD, the folder cannot be read, or there is no common solution.
-    pub fn article(&mut self, settings: &Hinz2019Settings) -> Result<Article, FinishedScanError> {
+    pub fn article(&mut self, settings: &ArticleSettings) -> Result<Article, FinishedScanError> {
         let mut elapsed_ms = BTreeMap::new();
         let mut clock = Instant::now();
         let mut lap = |what| {

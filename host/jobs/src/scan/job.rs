@@ -33,7 +33,7 @@ use crate::inspection::{EvaluatorError, InspectError, calibration_um, hand_eye};
 use crate::job::{self, Job, RecordError, RecordedFrames, Source, connect, runtime};
 use crate::plan::FieldOfView;
 use crate::subject::Subject;
-use flankscope_article::{ArticleError, Hinz2019Settings, MethodResult};
+use flankscope_article::{ArticleError, ArticleSettings, MethodResult};
 use flankscope_frames::{SharedRoot, monotonic_ns};
 use flankscope_instrument::acquisition::{
     AcquisitionError, AfterStop, FrameIndex, Progress as CheckProgress, Run, Stop,
@@ -120,7 +120,7 @@ pub enum Method {
     #[default]
     Surface,
     /// The article's method; ours for comparison.
-    Hinz2019,
+    Article,
     /// Our method; the article's for comparison.
     Both,
 }
@@ -155,7 +155,7 @@ pub struct Scanner {
     pub(super) field: FieldOfView,
     pub(super) resumed: usize,
     method: Method,
-    hinz2019: Hinz2019Settings,
+    article: ArticleSettings,
     reference: Option<Reference>,
 }
 
@@ -211,7 +211,7 @@ impl Scanner {
             field,
             resumed,
             method: Method::default(),
-            hinz2019: Hinz2019Settings::default(),
+            article: ArticleSettings::default(),
             reference: None,
         })
     }
@@ -232,14 +232,10 @@ impl Scanner {
     ///
     /// # Errors
     /// The voxel size is invalid.
-    pub fn by_method(
-        &mut self,
-        method: Method,
-        hinz2019: Hinz2019Settings,
-    ) -> Result<(), ScanError> {
-        check_voxel_size(hinz2019.voxel_mm)?;
-        let hinz2019 = hinz2019.for_toothing(self.gear.radial_threshold_mm);
-        (self.method, self.hinz2019) = (method, hinz2019);
+    pub fn by_method(&mut self, method: Method, article: ArticleSettings) -> Result<(), ScanError> {
+        check_voxel_size(article.voxel_mm)?;
+        let article = article.for_toothing(self.gear.radial_threshold_mm);
+        (self.method, self.article) = (method, article);
         Ok(())
     }
 
@@ -500,11 +496,10 @@ impl Scanner {
         }
         let begun = Instant::now();
         let map = CylinderMap::new(frame.layout);
-        let laid =
-            flankscope_article::stitch(session, tool, planned, nominal, map, &self.hinz2019)?;
+        let laid = flankscope_article::stitch(session, tool, planned, nominal, map, &self.article)?;
         let took = begun.elapsed();
-        let figures = MethodResult::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
-        if self.method == Method::Hinz2019 {
+        let figures = MethodResult::of_article(&laid, &shared, &self.article, planned, took);
+        if self.method == Method::Article {
             scan.show_instead(laid, &figures);
         }
         scan.methods.push(figures);

@@ -4,7 +4,7 @@
 //! fine, with the physical prior of the stages where there is one. It names the directions that the points do not determine,
 //! leaves those where they were, and reports success only when the pose deserves it.
 
-mod hinz2019;
+mod article;
 mod observe;
 mod pairs;
 mod periodicity;
@@ -16,7 +16,7 @@ pub mod scale;
 mod solve;
 pub mod stretch;
 
-pub use hinz2019::{Hinz2019Options, PaperReference, register_hinz2019, register_to_reference};
+pub use article::{ArticleOptions, ArticleReference, register_by_article, register_to_reference};
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;

@@ -26,7 +26,7 @@ use flankscope_metrology::verdict::{Code, Reason, Word};
 
 use super::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 use crate::origin::Origin;
-use flankscope_article::{Hinz2019Stitched, MethodResult};
+use flankscope_article::{ArticleStitched, MethodResult};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::multiview::form::Form;
 
@@ -72,7 +72,7 @@ pub struct Scan {
     pub registration: Vec<ScanRegistration>,
     /// Data on the stitching.
     pub stitching: Stitching,
-    /// Common parameters of all views; absent if they were registered one by one (`--method paper`).
+    /// Common parameters of all views; absent if they were registered one by one (`--method article`).
     #[serde(rename = "joint", skip_serializing_if = "Option::is_none")]
     pub adjustment: Option<Adjustment>,
     /// Relative excess of the teeth's distances over the CAD's, median over the views; absent if unknown.
@@ -171,7 +171,7 @@ impl Scan {
     }
 
     /// Replaces our result by that of the article's method. It states no uncertainty, so there is no verdict and no flank is judged.
-    pub fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
+    pub fn show_instead(&mut self, laid: ArticleStitched, figures: &MethodResult) {
         let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
         self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;

@@ -17,7 +17,7 @@ use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 /// The article's settings.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Hinz2019Options {
+pub struct ArticleOptions {
     /// Number of reference points in the window.
     pub samples: usize,
     /// Seed of the reference points.
@@ -41,7 +41,7 @@ pub struct Hinz2019Options {
     pub most_rms_mm: f64,
 }
 
-impl Default for Hinz2019Options {
+impl Default for ArticleOptions {
     fn default() -> Self {
         Self {
             samples: 100_000,
@@ -58,14 +58,14 @@ impl Default for Hinz2019Options {
 }
 
 /// Random CAD points in the window about a view.
-pub struct PaperReference {
+pub struct ArticleReference {
     points: Vec<[f64; 3]>,
     tree: SampleTree,
 }
 
-impl PaperReference {
+impl ArticleReference {
     /// Draws the points in the window about `centre` (tool coordinates, mm); none when no surface is there.
-    pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &Hinz2019Options) -> Option<Self> {
+    pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &ArticleOptions) -> Option<Self> {
         let region = &options.region;
         let points = region.sample(centre, mesh, options.samples, options.seed);
         Self::of_points(points.ok()?)
@@ -108,17 +108,17 @@ impl PaperReference {
 
 /// Lays finite `points` (mm) on random points of the mesh as the article does. Returns these points too, unless nothing of
 /// the mesh is where the cloud starts.
-pub fn register_hinz2019(
+pub fn register_by_article(
     mesh: &TriMesh,
     points: &[[f64; 3]],
     initial: &Rigid<Tool, Cloud>,
-    options: &Hinz2019Options,
-) -> (Registration, Option<PaperReference>) {
+    options: &ArticleOptions,
+) -> (Registration, Option<ArticleReference>) {
     let centre = match centre_at(points, initial, options) {
         Ok(centre) => centre,
         Err(too_few) => return (Registration::refused(*initial, too_few), None),
     };
-    match PaperReference::new(mesh, centre, options) {
+    match ArticleReference::new(mesh, centre, options) {
         None => {
             let nothing_there = RegistrationFailure::Disjoint {
                 ratio: 0.0,
@@ -134,12 +134,12 @@ pub fn register_hinz2019(
     }
 }
 
-/// Lays finite `points` (mm) on other points as [`register_hinz2019`] does on random ones.
+/// Lays finite `points` (mm) on other points as [`register_by_article`] does on random ones.
 pub fn register_to_reference(
-    reference: &PaperReference,
+    reference: &ArticleReference,
     points: &[[f64; 3]],
     initial: &Rigid<Tool, Cloud>,
-    options: &Hinz2019Options,
+    options: &ArticleOptions,
 ) -> Registration {
     match centre_at(points, initial, options) {
         Ok(centre) => settle(reference, points, initial, centre, options),
@@ -151,7 +151,7 @@ pub fn register_to_reference(
 fn centre_at(
     points: &[[f64; 3]],
     pose: &Rigid<Tool, Cloud>,
-    options: &Hinz2019Options,
+    options: &ArticleOptions,
 ) -> Result<[f64; 3], RegistrationFailure> {
     let moved: Vec<[f64; 3]> = points.iter().map(|&p| pose.apply(p)).collect();
     let centre = centre_of_mass(&moved).filter(|_| points.len() >= options.least_points);
@@ -163,11 +163,11 @@ fn centre_at(
 
 /// Point-to-point ICP from a pose.
 fn settle(
-    reference: &PaperReference,
+    reference: &ArticleReference,
     points: &[[f64; 3]],
     initial: &Rigid<Tool, Cloud>,
     centre: [f64; 3],
-    options: &Hinz2019Options,
+    options: &ArticleOptions,
 ) -> Registration {
     let not_begun = RegistrationFailure::Disjoint {
         ratio: 0.0,

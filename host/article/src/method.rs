@@ -19,7 +19,7 @@ use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics}
 use flankscope_metrology::multiview::adjustment::{Pose, Stages};
 use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
 use flankscope_metrology::registration::{
-    Hinz2019Options, Status, register_hinz2019, search_phase,
+    ArticleOptions, Status, register_by_article, search_phase,
 };
 use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
@@ -59,7 +59,7 @@ impl Denoise {
 /// the same views anew.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Hinz2019Settings {
+pub struct ArticleSettings {
     /// File of picked pairs that the first view starts from: x, y, z in its camera frame, then in CAD, mm.
     #[serde(skip_serializing)]
     pub pairs: Option<PathBuf>,
@@ -77,7 +77,7 @@ pub struct Hinz2019Settings {
     /// Share of the points that are drawn.
     pub share: f64,
     /// Window, reference points and ends of every registration; its seed is that of all that is drawn.
-    pub registration: Hinz2019Options,
+    pub registration: ArticleOptions,
     /// Density of the reference points that the merged cloud is compared with, per mm².
     pub merged_per_mm2: f64,
     /// Side of the voxels of the merged cloud, mm.
@@ -90,7 +90,7 @@ pub struct Hinz2019Settings {
     pub serial_inlier_ratio: Option<f64>,
 }
 
-impl Hinz2019Settings {
+impl ArticleSettings {
     /// The article's values: its table 1, its window read as ±10 mm and ±0.2 rad, 0.005 of its table 1 as degrees, 10 % of the
     /// points, and what its toolbox takes where it names nothing.
     #[must_use]
@@ -102,7 +102,7 @@ impl Hinz2019Settings {
     }
 
     /// The article's values as a settings file, with the unit of each and what the article leaves open.
-    pub const FILE: &str = r#"# Settings of the article's method (scan --method paper|both, article): its values.
+    pub const FILE: &str = r#"# Settings of the article's method (scan --method article|both, article): its values.
 
 mask_dn = 40.0                  # counts, points around which the fringes oscillate less are masked; the article names no number
 share = 0.1                     # of the points that are drawn
@@ -146,7 +146,7 @@ radial_threshold_mm = 50.0      # mm, only points nearer to the axis belong to t
     }
 
     fn check(&self) -> Result<(), BadValue> {
-        let Hinz2019Options {
+        let ArticleOptions {
             samples,
             region,
             inlier_ratio,
@@ -240,7 +240,7 @@ radial_threshold_mm = 50.0      # mm, only points nearer to the axis belong to t
     }
 }
 
-impl Hinz2019Settings {
+impl ArticleSettings {
     /// Seed of what is drawn for a view.
     fn seed_of(&self, view: usize) -> u64 {
         self.registration.seed.wrapping_add((view as u64) << 32)
@@ -275,7 +275,7 @@ impl Hinz2019Settings {
     }
 }
 
-impl Hinz2019Settings {
+impl ArticleSettings {
     /// For a tool whose toothing ends there, unless the file says otherwise: the article's 50 mm are its own die's.
     #[must_use]
     pub fn for_toothing(mut self, radial_threshold_mm: f64) -> Self {
@@ -286,7 +286,7 @@ impl Hinz2019Settings {
     }
 }
 
-impl Default for Hinz2019Settings {
+impl Default for ArticleSettings {
     /// The article's values without its denoising: a view's scattered points are gone before it is kept.
     fn default() -> Self {
         Self {
@@ -297,7 +297,7 @@ impl Default for Hinz2019Settings {
             mask_dn: 40.0,
             denoise: None,
             share: 0.1,
-            registration: Hinz2019Options::default(),
+            registration: ArticleOptions::default(),
             merged_per_mm2: MERGED_PER_MM2,
             voxel_mm: 0.05,
             order: Order::Two,
@@ -306,7 +306,7 @@ impl Default for Hinz2019Settings {
 }
 
 /// A view on random CAD points.
-pub struct Hinz2019View {
+pub struct ArticleView {
     /// Its number.
     pub view: usize,
     /// Root mean square distance of its points to the nearest reference points, mm.
@@ -320,9 +320,9 @@ pub struct Hinz2019View {
 }
 
 /// Views that were laid on random CAD points one by one.
-pub struct Hinz2019Stitched {
+pub struct ArticleStitched {
     /// Views that took part.
-    pub views: Vec<Hinz2019View>,
+    pub views: Vec<ArticleView>,
     /// Where the first of them started from.
     pub initial: Option<InitialTransformation>,
     /// Views that did not settle on the CAD.
@@ -345,8 +345,8 @@ pub fn stitch<P: ViewPoints>(
     planned: &[PlannedView],
     nominal: &Stages,
     mut map: CylinderMap,
-    settings: &Hinz2019Settings,
-) -> Result<Hinz2019Stitched, ArticleError<P::Error>> {
+    settings: &ArticleSettings,
+) -> Result<ArticleStitched, ArticleError<P::Error>> {
     let teeth = tool.gear.as_ref().map_or(1, |gear| gear.teeth);
     let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
     // What stands between stage and camera: found with one view, it is where the next one starts.
@@ -372,12 +372,12 @@ pub fn stitch<P: ViewPoints>(
                 *search_phase(&tool.surface, &xyz, &start, teeth).isometry()
             }
         };
-        let options = Hinz2019Options {
+        let options = ArticleOptions {
             seed,
             ..settings.registration
         };
         let start = Rigid::from_isometry(start);
-        let (found, reference) = register_hinz2019(&tool.mesh, &xyz, &start, &options);
+        let (found, reference) = register_by_article(&tool.mesh, &xyz, &start, &options);
         let Some(reference) = reference.filter(|_| found.is_registered()) else {
             if let Status::Indeterminate(reason) = found.status {
                 refused.push((view, Reason::instrument((&reason).into(), reason)));
@@ -406,7 +406,7 @@ pub fn stitch<P: ViewPoints>(
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         let closest = tool.surface.closest_many(&laid);
         map.add_view(&cell_observations(&map.layout(), &closest, &sigma), |_| 0.0);
-        views.push(Hinz2019View {
+        views.push(ArticleView {
             view,
             rms_mm: distances.rms_mm,
             tool_from_camera,
@@ -416,7 +416,7 @@ pub fn stitch<P: ViewPoints>(
         cloud.extend(laid);
     }
     let merged = voxel_centroids(&cloud, settings.voxel_mm)?;
-    Ok(Hinz2019Stitched {
+    Ok(ArticleStitched {
         views,
         initial,
         refused,
@@ -438,7 +438,7 @@ pub(crate) struct Drawing {
 
 impl Drawing {
     /// Masks and denoises the points of a view, and draws a share of what is left.
-    pub fn of_view(points: &[ViewPoint], settings: &Hinz2019Settings, view: usize) -> Self {
+    pub fn of_view(points: &[ViewPoint], settings: &ArticleSettings, view: usize) -> Self {
         let lit = |point: &&ViewPoint| f64::from(point[4]) >= settings.mask_dn;
         let masked: Vec<ViewPoint> = points.iter().filter(lit).copied().collect();
         let masked_count = masked.len();
@@ -466,7 +466,7 @@ fn denoised(points: Vec<ViewPoint>, denoise: Option<Denoise>) -> Vec<ViewPoint> 
 }
 
 /// Reference points all over the toothing.
-pub(crate) fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
+pub(crate) fn whole_reference(tool: &Tool, settings: &ArticleSettings) -> Vec<[f64; 3]> {
     let registration = &settings.registration;
     let threshold_mm = registration.region.radial_threshold_mm;
     let area_mm2 = sampling::area_mm2(&tool.mesh);
@@ -487,10 +487,10 @@ mod tests {
 
     #[test]
     fn the_settings_file_has_the_article_s_values() {
-        let file: Hinz2019Settings = toml::from_str(Hinz2019Settings::FILE).unwrap();
-        assert_eq!(file, Hinz2019Settings::article());
-        let empty: Hinz2019Settings = toml::from_str("").unwrap();
-        assert_eq!(empty, Hinz2019Settings::default());
+        let file: ArticleSettings = toml::from_str(ArticleSettings::FILE).unwrap();
+        assert_eq!(file, ArticleSettings::article());
+        let empty: ArticleSettings = toml::from_str("").unwrap();
+        assert_eq!(empty, ArticleSettings::default());
         // Every key that a result says, but those that no file sets.
         let said = serde_json::to_value(&file).unwrap();
         for (table, own) in [
@@ -505,7 +505,7 @@ mod tests {
             let keys = said.pointer(table).unwrap().as_object().unwrap().keys();
             for key in keys.filter(|key| !own.contains(&key.as_str())) {
                 let line = format!("\n{key} = ");
-                assert!(Hinz2019Settings::FILE.contains(&line), "{key}");
+                assert!(ArticleSettings::FILE.contains(&line), "{key}");
             }
         }
     }
