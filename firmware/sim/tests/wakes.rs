@@ -19,7 +19,7 @@ fn rounds() -> u32 {
     let asked = std::env::var("FLANKSCOPE_ROUNDS").ok();
     asked
         .and_then(|rounds| rounds.parse().ok())
-        .unwrap_or(30_000)
+        .unwrap_or(10_000)
 }
 
 #[test]
