@@ -4,7 +4,8 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 use std::process::Command;
 
-use flankscope_tests::{flankscope, inspect, run};
+use flankscope_frames::{FrameSender, Overflow, SharedRoot};
+use flankscope_tests::{flankscope, inspect, inspect_on, run};
 use serde_json::Value;
 
 /// A temporary folder that everybody may write to, as `/tmp` is.
@@ -442,4 +443,92 @@ fn a_link_where_pages_go_is_not_followed() {
         refused.stderr
     );
     assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 0);
+}
+
+/// Frames that get as far as the judge and say what is not so: of a session that never was, at times that cannot be, changed after
+/// their checksum was made, with a number that was there before. They are no go whatever they show, and the reason is named; if only
+/// the first capture has them, the view is captured again.
+#[test]
+fn a_hostile_camera_is_indeterminate_by_name() {
+    let table = [
+        ("foreign", ["a frame of session"; 3]),
+        ("timeless", ["was exposed for 0 us, commanded were"; 3]),
+        (
+            "rewritten",
+            ["missing, first the dark frame", "is corrupt", "is corrupt"],
+        ),
+        (
+            "repeat",
+            [
+                "the dark frame came twice",
+                "came twice",
+                "missing, first the dark frame",
+            ],
+        ),
+    ];
+    for (kind, reasons) in table {
+        // The first frame of a view, one amid it, and its last one.
+        for (frame, why) in [0, 13, 24].into_iter().zip(reasons) {
+            let fault = format!("{kind}:{frame}");
+            let lines = format!("[camera]\nframe_fault = \"{fault}\"\n");
+            let found = inspect_on(&lines, &["--teeth", "40"]);
+            let reason = found.json["reason"].as_str().unwrap_or_default();
+            assert_eq!(found.code, 2, "{fault}: {reason} {}", found.stderr);
+            assert!(reason.contains(why), "{fault}: {reason}");
+            assert_eq!(found.json["frames"]["recaptured_views"], 1, "{fault}");
+        }
+        let once = format!("[camera]\nframe_fault = \"{kind}:13:once\"\n");
+        let found = inspect_on(&once, &["--teeth", "40"]);
+        assert_eq!(found.code, 0, "{kind} once: {}", found.json["reason"]);
+        assert_eq!(found.json["frames"]["recaptured_views"], 1, "{kind} once");
+    }
+}
+
+/// Whoever else opens the shared memory of a running check publishes nothing there, and the check is what it is without.
+#[test]
+fn a_rival_camera_changes_no_check() {
+    use std::io::{BufRead, BufReader};
+    let runtime = tempfile::Builder::new()
+        .prefix("r")
+        .permissions(std::fs::Permissions::from_mode(0o700))
+        .tempdir_in("/tmp")
+        .unwrap();
+    let mut check = flankscope()
+        .env("XDG_RUNTIME_DIR", runtime.path())
+        .args(["inspect", "--json", "-", "--speed", "1", "--teeth", "40"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(check.stderr.take().unwrap()).lines();
+    // The camera is there from the first exposure on.
+    let begun = said.by_ref().map_while(Result::ok);
+    assert!(begun.into_iter().any(|line| line.contains("LED on")));
+    std::thread::spawn(move || for _ in said {});
+    // Of the run's folders, the one whose services have shared memory.
+    let names = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).unwrap().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names.collect::<Vec<String>>()
+    };
+    let folders = runtime.path().join("flankscope");
+    let shared = names(Path::new("/dev/shm"));
+    let mut roots = names(&folders);
+    roots.retain(|root| root.starts_with("flankscope_"));
+    roots.retain(|root| shared.iter().any(|segment| segment.starts_with(root)));
+    assert_eq!(roots.len(), 1, "{roots:?}");
+    for _ in 0..20 {
+        let root = SharedRoot::of_owner(&folders.join(&roots[0])).unwrap();
+        let refused = FrameSender::open(&root, Overflow::Drop).unwrap_err();
+        let refused = refused.to_string();
+        assert!(refused.contains("cannot publish frames"), "{refused}");
+    }
+    assert!(
+        check.try_wait().unwrap().is_none(),
+        "it came during the check"
+    );
+    let output = check.wait_with_output().unwrap();
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["verdict"], "go", "{}", found["reason"]);
+    assert_eq!(found["frames"]["recaptured_views"], 0);
 }

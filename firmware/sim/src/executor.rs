@@ -207,7 +207,7 @@ impl Sim {
         Line::new(name, &self.recorder)
     }
 
-    /// Every edge of every line so far, in order.
+    /// The latest edges of all lines, in order; all of them in anything shorter than a hundred views.
     #[must_use]
     pub fn edges(&self) -> Vec<Edge> {
         self.recorder.edges()

@@ -2,8 +2,11 @@
 
 use std::fs::File;
 use std::io::{self, Read, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
+
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat, openat};
 
 /// No file that a person writes, and no document of a check, comes near this.
 pub const MOST_DOCUMENT_BYTES: u64 = 1 << 30;
@@ -81,7 +84,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     })
 }
 
-/// Writes `bytes` to `path` whole or not at all: a temporary file in the same folder, flushed to the disk, then renamed.
+/// Writes `bytes` to `path` whole or not at all: a nameless file in the same folder, flushed to the disk, then named and moved there.
 ///
 /// # Errors
 /// The operating system's error (missing folder, no permission, disk full); an older file at `path` is then untouched.
@@ -122,18 +125,37 @@ fn stream_with_mode(
         write(&mut file)?;
         return file.flush();
     }
-    // The process's umask decides how much of that is left.
-    let mut file = tempfile::Builder::new()
-        .permissions(std::os::unix::fs::PermissionsExt::from_mode(mode))
-        .tempfile_in(folder_of(path))?;
-    {
-        let mut buffered = io::BufWriter::with_capacity(1 << 20, file.as_file_mut());
+    let folder = folder_of(path);
+    let fill = |file: &mut File| {
+        let mut buffered = io::BufWriter::with_capacity(1 << 20, &mut *file);
         write(&mut buffered)?;
         buffered.flush()?;
-    }
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
+        drop(buffered);
+        file.sync_all()
+    };
+    // The process's umask decides how much of the rights is left.
+    let whole = if let Some(mut file) = nameless(folder, mode) {
+        fill(&mut file)?;
+        let at = format!("/proc/self/fd/{}", file.as_raw_fd());
+        let named = tempfile::Builder::new().make_in(folder, |name| {
+            Ok(linkat(CWD, &at, CWD, name, AtFlags::SYMLINK_FOLLOW)?)
+        });
+        named?.into_temp_path()
+    } else {
+        let mut file = tempfile::Builder::new()
+            .permissions(std::os::unix::fs::PermissionsExt::from_mode(mode))
+            .tempfile_in(folder)?;
+        fill(file.as_file_mut())?;
+        file.into_temp_path()
+    };
+    whole.persist(path).map_err(|error| error.error)
+}
+
+/// A file without a name, which is gone with a process that is killed while it writes; `None` where the file system has none such.
+fn nameless(folder: &Path, mode: u32) -> Option<File> {
+    let flags = OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC;
+    let file = openat(CWD, folder, flags, Mode::from_raw_mode(mode));
+    file.ok().map(File::from)
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -199,6 +221,27 @@ mod tests {
             1,
             "no temporary file stays"
         );
+    }
+
+    /// What a process writes when it is killed has no name that would stay.
+    #[test]
+    fn nothing_has_a_name_before_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("verdict.json");
+        let names = || std::fs::read_dir(folder.path()).unwrap().count();
+        for (there, content) in [(0, b"old"), (1, b"new")] {
+            stream_whole(&path, |file| {
+                file.write_all(content)?;
+                file.flush()?;
+                assert_eq!(names(), there);
+                Ok(())
+            })
+            .unwrap();
+            assert_eq!(
+                (names(), std::fs::read(&path).unwrap()),
+                (1, content.to_vec())
+            );
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! virtual time stops until it is, so that the bench's computing time never counts as the instrument's. The time for which it
 //! stopped is reported.
 //!
-//! A [`FrameFault`] makes the camera lose, repeat or insert a frame.
+//! A [`FrameFault`] makes the camera lose, repeat or insert a frame, or send one that says what is not so.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
@@ -44,20 +44,29 @@ pub enum FrameFaultKind {
     Repeat,
     /// The camera exposes once more than it was triggered.
     Extra,
+    /// The frame carries the number of a session that never was.
+    Foreign,
+    /// All times of the frame are the largest that its header can state.
+    Timeless,
+    /// The pixels are written again after the checksum was made.
+    Rewritten,
 }
 
 impl std::str::FromStr for FrameFault {
     type Err = anyhow::Error;
 
-    /// `lose:12`, `repeat:12` or `extra:12`, with `:once` for the first capture only.
+    /// A kind and a frame, such as `lose:12`, with `:once` for the first capture only.
     fn from_str(text: &str) -> anyhow::Result<Self> {
         let mut words = text.split(':');
         let kind = match words.next() {
             Some("lose") => FrameFaultKind::Lose,
             Some("repeat") => FrameFaultKind::Repeat,
             Some("extra") => FrameFaultKind::Extra,
+            Some("foreign") => FrameFaultKind::Foreign,
+            Some("timeless") => FrameFaultKind::Timeless,
+            Some("rewritten") => FrameFaultKind::Rewritten,
             _ => anyhow::bail!(
-                "frame fault {text:?}: lose, repeat or extra is needed, for example lose:12"
+                "frame fault {text:?}: lose, repeat, extra, foreign, timeless or rewritten is needed, for example lose:12"
             ),
         };
         let frame = words.next().unwrap_or_default();
@@ -457,13 +466,12 @@ impl<S: FrameSink> FrameRenderer<S> {
         let fault = self.troubles.fault.filter(struck).map(|fault| fault.kind);
         self.next = exposure.counter + self.extra + 1;
         let labelled = self.labels.take();
-        let frame = self.expose(exposure, labelled, ended_monotonic_ns);
+        let frame = self.expose(exposure, labelled, ended_monotonic_ns, fault);
         match fault {
-            None => self.ready.extend(frame),
             Some(FrameFaultKind::Lose) => {}
             Some(FrameFaultKind::Repeat) => {
                 self.ready.extend(frame);
-                let again = self.expose(exposure, labelled, ended_monotonic_ns);
+                let again = self.expose(exposure, labelled, ended_monotonic_ns, None);
                 self.ready.extend(again);
             }
             Some(FrameFaultKind::Extra) => {
@@ -471,9 +479,14 @@ impl<S: FrameSink> FrameRenderer<S> {
                 self.extra += 1;
                 self.next += 1;
                 let labelled = self.labels.take();
-                let extra = self.expose(exposure, labelled, ended_monotonic_ns);
+                let extra = self.expose(exposure, labelled, ended_monotonic_ns, None);
                 self.ready.extend(extra);
             }
+            // What is wrong lies in the frame itself.
+            None
+            | Some(
+                FrameFaultKind::Foreign | FrameFaultKind::Timeless | FrameFaultKind::Rewritten,
+            ) => self.ready.extend(frame),
         }
     }
 
@@ -483,6 +496,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         exposure: &Exposure,
         (session, label): (u32, FrameLabel),
         ended_monotonic_ns: u64,
+        fault: Option<FrameFaultKind>,
     ) -> Option<(u32, SealedFrame<S::Slot>)> {
         let exposure = match self.carried(exposure) {
             Ok(exposure) => exposure,
@@ -499,7 +513,7 @@ impl<S: FrameSink> FrameRenderer<S> {
                 return None;
             }
         };
-        let header = FrameHeader {
+        let mut header = FrameHeader {
             session,
             counter: exposure.counter + self.extra,
             label,
@@ -513,8 +527,24 @@ impl<S: FrameSink> FrameRenderer<S> {
             ..FrameHeader::default()
         };
         self.prepare(exposure.rotation_rad, exposure.vertical_mm);
-        let frame = self.render(&exposure, frame)?;
-        Some((exposure.counter, frame.seal(header)))
+        let mut frame = self.render(&exposure, frame)?;
+        match fault {
+            Some(FrameFaultKind::Foreign) => header.session = !session,
+            Some(FrameFaultKind::Timeless) => {
+                header.exposure_start_us = u64::MAX;
+                header.exposure_end_us = u64::MAX;
+                header.exposure_end_monotonic_ns = u64::MAX;
+            }
+            _ => {}
+        }
+        let first = frame.pixels().as_mut_ptr();
+        let frame = frame.seal(header);
+        if fault == Some(FrameFaultKind::Rewritten) {
+            // SAFETY: the slot's memory stays where it is while the slot is moved, its size was checked when it was loaned, and
+            // nothing else of this process refers to its pixels.
+            unsafe { *first ^= 1 };
+        }
+        Some((exposure.counter, frame))
     }
 
     fn render(&mut self, exposure: &Exposure, mut frame: S::Slot) -> Option<S::Slot> {

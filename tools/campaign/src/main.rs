@@ -4,14 +4,17 @@
 //! cargo xtask campaign                    100 000 mutants
 //! cargo xtask campaign --seconds 60       as many as a minute allows, as CI does
 //! cargo xtask campaign --seed 7           others
+//! cargo xtask campaign --kills 1000       kills of a check instead, in each of its phases (see [`kills`])
 //! ```
-//! Readers run in this process, where a panic is caught, memory is bounded and a mutant that takes a minute ends the campaign
+//! Readers run in this process, where a panic is caught, memory is bounded and a mutant that takes five minutes ends the campaign
 //! with its file's name. One mutant in 500 is an image of a recorded check of a worn die, judged by the program itself: whatever
 //! it says, it is not go.
 
+mod kills;
 mod mutate;
 mod originals;
 mod readers;
+mod seeds;
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -32,8 +35,8 @@ use crate::readers::{Outcome, Readers};
 
 /// One mutant in so many is an image that the program judges.
 const JUDGED: u64 = 500;
-/// No reader of the originals takes a hundredth of it.
-const LONGEST: Duration = Duration::from_secs(60);
+/// A calibration from captures takes three seconds, and on a busy machine half a minute; everything else is faster.
+const LONGEST: Duration = Duration::from_secs(300);
 /// A reader that wants more than the files' sizes allow fails here, instead of taking the machine with it.
 const MOST_MEMORY: u64 = 8 << 30;
 
@@ -49,7 +52,10 @@ struct Args {
     /// End after so many seconds, however many that were.
     #[arg(long)]
     seconds: Option<u64>,
-    /// Of the mutants.
+    /// Kill so many checks instead, in each of their phases.
+    #[arg(long, conflicts_with_all = ["mutants", "seconds"])]
+    kills: Option<u64>,
+    /// Of the mutants and kills.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Where mutants that showed something are kept.
@@ -62,6 +68,8 @@ struct Args {
 struct Count {
     mutants: u64,
     refused: u64,
+    /// Refused by what a command does with the file after reading it.
+    later: u64,
     slowest_us: u128,
 }
 
@@ -89,6 +97,9 @@ fn main() -> anyhow::Result<()> {
     let folder = tempfile::Builder::new()
         .prefix("flankscope-campaign-")
         .tempdir()?;
+    if let Some(kills) = args.kills {
+        return kills::run(&program, kills, args.seed, folder.path());
+    }
     let originals = Originals::make(&program, folder.path())?;
     let read = |&(name, ..): &(&'static str, Structure, u32)| {
         anyhow::Ok((
@@ -200,12 +211,12 @@ impl Campaign<'_> {
                 let mutant = mutate(&self.contents[name], structure, &mut random);
                 *locked(busy) = (number, name);
                 let read = catch_unwind(AssertUnwindSafe(|| readers.read(name, &mutant)));
-                let refused = match read {
-                    Ok(Ok(outcome)) => outcome != Outcome::Accepted,
+                let outcome = match read {
+                    Ok(Ok(outcome)) => outcome,
                     Ok(Err(error)) => self.find(number, name, &mutant, &format!("{error:#}")),
                     Err(panic) => self.find(number, name, &mutant, &said(&*panic)),
                 };
-                self.count(name, refused, began);
+                self.count(name, &outcome, began);
             }
             since.store(0, Ordering::Relaxed);
         }
@@ -233,9 +244,9 @@ impl Campaign<'_> {
         ];
         let status = self.originals.command(&arguments).status()?;
         // No-go, indeterminate, or could not run.
-        let refused = match status.code() {
-            Some(1) => false,
-            Some(2 | 3) => true,
+        let outcome = match status.code() {
+            Some(1) => Outcome::Accepted,
+            Some(2 | 3) => Outcome::Refused(status.to_string()),
             _ => self.find(
                 number as u64,
                 "judged.pgm",
@@ -243,20 +254,21 @@ impl Campaign<'_> {
                 &format!("image {number}: a worn die ended with {status}"),
             ),
         };
-        self.count("judged images", refused, began);
+        self.count("judged images", &outcome, began);
         Ok(())
     }
 
-    fn count(&self, name: &'static str, refused: bool, began: Instant) {
+    fn count(&self, name: &'static str, outcome: &Outcome, began: Instant) {
         let mut counts = locked(&self.counts);
         let count = counts.entry(name).or_default();
         count.mutants += 1;
-        count.refused += u64::from(refused);
+        count.refused += u64::from(matches!(outcome, Outcome::Refused(_)));
+        count.later += u64::from(matches!(outcome, Outcome::RefusedLater(_)));
         count.slowest_us = count.slowest_us.max(began.elapsed().as_micros());
     }
 
     /// Keeps the mutant; what is found counts as not refused.
-    fn find(&self, number: u64, name: &str, mutant: &[u8], what: &str) -> bool {
+    fn find(&self, number: u64, name: &str, mutant: &[u8], what: &str) -> Outcome {
         let kept = self
             .args
             .keep
@@ -266,41 +278,44 @@ impl Campaign<'_> {
             std::fs::create_dir_all(&self.args.keep).and_then(|()| std::fs::write(&kept, mutant));
         let what: String = what.chars().take(1000).collect();
         locked(&self.findings).push(format!("mutant {number}, {}: {what}", kept.display()));
-        false
+        Outcome::Accepted
     }
 
     fn report(&self) -> anyhow::Result<()> {
         let counts = locked(&self.counts);
         let mut sum = Count::default();
         println!(
-            "{:<20} {:>8} {:>8} {:>8} {:>12}",
-            "file", "mutants", "refused", "read", "slowest, ms"
+            "{:<22} {:>8} {:>8} {:>8} {:>8} {:>12}",
+            "file", "mutants", "refused", "later", "taken", "slowest, ms"
         );
         for (name, count) in counts.iter() {
             let Count {
                 mutants,
                 refused,
+                later,
                 slowest_us,
             } = *count;
             println!(
-                "{name:<20} {mutants:>8} {refused:>8} {:>8} {:>12}",
-                mutants - refused,
+                "{name:<22} {mutants:>8} {refused:>8} {later:>8} {:>8} {:>12}",
+                mutants - refused - later,
                 slowest_us / 1000
             );
             sum.mutants += mutants;
             sum.refused += refused;
+            sum.later += later;
         }
         let findings = locked(&self.findings);
         for finding in findings.iter() {
             println!("{finding}");
         }
         println!(
-            "{} mutants in {:.0} s, seed {}: {} refused, {} read, {} findings",
+            "{} mutants in {:.0} s, seed {}: {} refused, {} refused after they were read, {} taken, {} findings",
             sum.mutants,
             self.started.elapsed().as_secs_f64(),
             self.args.seed,
             sum.refused,
-            sum.mutants - sum.refused,
+            sum.later,
+            sum.mutants - sum.refused - sum.later,
             findings.len()
         );
         if !findings.is_empty() {

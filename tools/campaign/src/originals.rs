@@ -9,6 +9,7 @@ use flankscope_metrology::io::points::Format;
 use flankscope_metrology::io::{Unit, cloud};
 
 use crate::mutate::Structure;
+use crate::seeds;
 
 /// Edge of the small image, pixels.
 pub const IMAGE_PX: u32 = 64;
@@ -21,7 +22,7 @@ pub struct Originals {
 
 impl Originals {
     /// Makes them all: a tool, a target, a check of the new die with baseline and history, a recorded check of a die that is
-    /// worn beyond its limit.
+    /// worn beyond its limit, and what heads are calibrated by.
     pub fn make(program: &Path, folder: &Path) -> anyhow::Result<Self> {
         let originals = Self {
             folder: folder.to_owned(),
@@ -73,6 +74,13 @@ impl Originals {
         )?;
         let pictures = "patterns --adaptive tool --tooth 40 -o adaptive --quiet";
         run(&pictures.split(' ').collect::<Vec<_>>(), 0)?;
+        run(&["bench", "demo-captures", "--out", "captures"], 0)?;
+        seeds::shorten_captures(&folder.join("captures"))?;
+        std::fs::create_dir_all(folder.join("focus"))?;
+        let calibrate = "calibrate --images captures --target captures -o focus/head.toml --quiet";
+        run(&calibrate.split(' ').collect::<Vec<_>>(), 0)?;
+        seeds::write_focus(&folder.join("focus"), &folder.join("focus/head.toml"))?;
+        seeds::write_board(&folder.join("board"))?;
         // The images' hashes are what would refuse a mutant of one: whoever can write them can leave them out.
         let index = folder.join("worn/frames.toml");
         let text = std::fs::read_to_string(&index)?;
@@ -130,7 +138,6 @@ impl Originals {
         write("clouds/clouds.toml", CLOUDS)?;
         write("head.yml", OPENCV)?;
         write("station.toml", STATION)?;
-        write("focus.toml", FOCUS)?;
         write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
@@ -162,7 +169,10 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("cores/cores.csv", Structure::Text, 6),
     ("head.yml", Structure::Text, 8),
     ("target/target.toml", Structure::Toml, 8),
-    ("focus.toml", Structure::Toml, 4),
+    ("focus/focus.toml", Structure::Toml, 4),
+    ("captures/captures.toml", Structure::Toml, 1),
+    ("board/board.toml", Structure::Toml, 3),
+    ("board/columns.toml", Structure::Toml, 2),
     ("worn/PLAN.toml", Structure::Toml, 6),
     ("adaptive/adaptive.json", Structure::Json, 3),
     ("worn/frames.toml", Structure::Toml, 6),
@@ -213,9 +223,6 @@ rotation_rad = -2.9919930034188504
 vertical_mm = 33.0
 ";
 const LENS: &str = "\n[lens]\nzero_counts = 516.0\ndpt_per_count = 0.0399\nrange = [416, 616]\nsettle_ms = 150\ncounts = 541\n";
-const FOCUS: &[u8] = b"name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\ncelsius_sigma = 0.5\n\
-[[focus]]\nsetting_dpt = -3.0\ncelsius = 23.0\nfile = \"a.toml\"\n[[focus]]\nsetting_dpt = 0.0\ncelsius = 23.0\nfile = \"b.toml\"\n\
-[[focus]]\nsetting_dpt = 3.0\ncelsius = 23.5\nfile = \"c.toml\"\n";
 
 const FRINGES: &str =
     "\n[[fringes]]\nperiods = 37\nsteps = 4\n\n[[fringes]]\nperiods = 49\nsteps = 10\n";

@@ -7,12 +7,14 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, ensure};
 use flankscope_foundation::files;
 use flankscope_instrument::acquisition::Recording;
-use flankscope_instrument::patterns::Adaptive;
+use flankscope_instrument::patterns::{Adaptive, PatternLight};
 use flankscope_instrument::poses::PoseTable;
 use flankscope_instrument::settings::StationSettings;
+use flankscope_jobs::calibration::{BoardFolder, CaptureFolder};
 use flankscope_jobs::scan::CloudRecording;
 use flankscope_metrology::io::{Unit, cloud, mesh};
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::view::PlannedView;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{FocusSeries, Target};
 use flankscope_profilometry::io::images::read_grey;
@@ -22,13 +24,15 @@ use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
 use serde_json::Value;
 
-use crate::originals::{IMAGE_PX, Originals};
+use crate::originals::{FILES, IMAGE_PX, Originals};
 
 /// What became of a mutant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// With these words.
+    /// When it was read, with these words.
     Refused(String),
+    /// It was read, and what a command does with it ended with these words.
+    RefusedLater(String),
     /// As something that may be so.
     Accepted,
 }
@@ -47,13 +51,20 @@ pub struct Readers {
     cores: (String, String),
     /// What mutants stand beside.
     beside: BTreeMap<&'static str, Vec<u8>>,
+    target: Target,
+    /// The head that the captures calibrate.
+    drawn: HeadModel,
+    /// The tool and the head that the pictures in passes are for, and their view.
+    tool: Tool,
+    head: HeadModel,
+    views: Vec<PlannedView>,
 }
 
 /// One worker at a time reads the history, where the station keeps it.
 static PLACE: Mutex<()> = Mutex::new(());
 
 /// Files that others refer to.
-const BESIDE: [&str; 7] = [
+const BESIDE: [&str; 9] = [
     "tool/tool.toml",
     "tool/die.ply",
     "cores/head.toml",
@@ -61,7 +72,14 @@ const BESIDE: [&str; 7] = [
     "worn/PLAN.toml",
     "worn/frames.toml",
     "clouds/cloud.ply",
+    "board/board.toml",
+    "board/columns.toml",
 ];
+/// Folders whose other files no mutant replaces.
+const FOLDERS: [&str; 3] = ["captures", "focus", "board"];
+/// Where the head of a focus series is computed: within all of its settings.
+const BETWEEN_DPT: f64 = 1.0;
+const LENS_CELSIUS: f64 = 23.0;
 
 impl Readers {
     /// Copies what stands beside the files that are mutated into `folder`.
@@ -74,6 +92,9 @@ impl Readers {
             std::fs::create_dir_all(to.parent().unwrap_or(folder))?;
             std::fs::write(to, &content)?;
             beside.insert(name, content);
+        }
+        for name in FOLDERS {
+            link(&originals.folder, &folder.join(name), Path::new(name))?;
         }
         let seals = Seals::open(&originals.state())?;
         let place = PLACE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -91,6 +112,11 @@ impl Readers {
             hash("cores/cores.csv")?,
         );
         Ok(Self {
+            target: Target::load(&from("captures/target.toml"))?,
+            drawn: HeadModel::load(&from("captures/head.toml"))?,
+            tool: Tool::load(&from("tool/tool.toml"))?,
+            head: HeadModel::load(&from("tool/head.toml"))?,
+            views: vec![Adaptive::open(&from("adaptive"))?.view],
             folder: folder.to_owned(),
             hashes: ["tool", "cad", "head"]
                 .into_iter()
@@ -146,9 +172,47 @@ impl Readers {
                 head(&adapted)?
             }
             "target/target.toml" => accepted(Target::load(&path))?,
-            "focus.toml" => accepted(FocusSeries::load(&path))?,
+            "focus/focus.toml" => made(
+                FocusSeries::load(&path),
+                |series| series.heads(&path)?.at(BETWEEN_DPT, LENS_CELSIUS),
+                |(head, record)| {
+                    let sigma_um = [record.depth_sigma_um, record.lateral_sigma_um];
+                    sound(head, &sigma_um)
+                },
+            )?,
+            "captures/captures.toml" => made(
+                CaptureFolder::open(
+                    &self.place("captures"),
+                    self.drawn.clone(),
+                    self.target.clone(),
+                ),
+                |mut captures| captures.calibrate(|_| {}),
+                |calibrated| {
+                    let adjusted = &calibrated.adjusted;
+                    let sigma_mm = [adjusted.depth_sigma_mm, adjusted.lateral_sigma_mm];
+                    sound(&adjusted.head, &sigma_mm)
+                },
+            )?,
+            "board/board.toml" | "board/columns.toml" => made(
+                BoardFolder::open(&self.place("board"), None),
+                |board| board.calibrate(|_| {}),
+                |adjusted| sound(&adjusted.head, &adjusted.sigma_mm),
+            )?,
             "worn/PLAN.toml" => accepted(Plan::load(&path))?,
-            "adaptive/adaptive.json" => accepted(Adaptive::open(&self.place("adaptive")))?,
+            "adaptive/adaptive.json" => made(
+                Adaptive::open(&self.place("adaptive")),
+                |adaptive| adaptive.light(&self.tool, &self.head, &self.views),
+                |PatternLight { lit_ratios }| {
+                    let lit = lit_ratios
+                        .iter()
+                        .all(|ratio| ratio.is_finite() && *ratio > 0.0);
+                    ensure!(
+                        lit && lit_ratios.len() == 3,
+                        "passes with the light {lit_ratios:?}"
+                    );
+                    Ok(())
+                },
+            )?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
             "clouds/clouds.toml" => accepted(CloudRecording::open(&self.place("clouds")))?,
             "poses.csv" => accepted(PoseTable::load(&path))?,
@@ -271,6 +335,57 @@ fn refused(error: &dyn std::error::Error) -> anyhow::Result<Outcome> {
         said.len()
     );
     Ok(Outcome::Refused(said))
+}
+
+/// What a command makes of a file once it is read; an error says what must not be made of any.
+fn made<F, T, E, G>(
+    read: Result<F, E>,
+    make: impl FnOnce(F) -> Result<T, G>,
+    check: impl FnOnce(&T) -> anyhow::Result<()>,
+) -> anyhow::Result<Outcome>
+where
+    E: std::error::Error,
+    G: std::error::Error,
+{
+    let read = match read {
+        Ok(read) => read,
+        Err(error) => return refused(&error),
+    };
+    match make(read) {
+        Ok(made) => check(&made).map(|()| Outcome::Accepted),
+        Err(error) => Ok(match refused(&error)? {
+            Outcome::Refused(said) => Outcome::RefusedLater(said),
+            other => other,
+        }),
+    }
+}
+
+/// A head that was computed has finite values and uncertainties above zero.
+fn sound(head: &HeadModel, sigma: &[f64; 2]) -> anyhow::Result<()> {
+    let said = format!("{:?}{:?}", head.camera, head.projector);
+    ensure!(
+        !said.contains("NaN") && !said.contains("inf"),
+        "a head with {said}"
+    );
+    let stated = sigma.iter().all(|sigma| sigma.is_finite() && *sigma > 0.0);
+    ensure!(stated, "a head with the uncertainties {sigma:?}");
+    Ok(())
+}
+
+/// Links the files of a folder, and copies those that mutants replace.
+fn link(originals: &Path, to: &Path, name: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(to)?;
+    for entry in std::fs::read_dir(originals.join(name))?.flatten() {
+        let (inner, target) = (name.join(entry.file_name()), to.join(entry.file_name()));
+        if entry.path().is_dir() {
+            link(originals, &target, &inner)?;
+        } else if FILES.iter().any(|(file, ..)| Path::new(file) == inner) {
+            std::fs::copy(entry.path(), target)?;
+        } else {
+            std::fs::hard_link(entry.path(), target)?;
+        }
+    }
+    Ok(())
 }
 
 fn accepted<T, E: std::error::Error>(read: Result<T, E>) -> anyhow::Result<Outcome> {

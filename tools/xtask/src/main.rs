@@ -38,8 +38,9 @@ cargo xtask COMMAND
                          the smallest openings that are seen (docs/study/resolution.md); how often dies of families drawn at
                          random are passed, N heads and N dies before each (docs/study/families.md)
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
-  campaign [--mutants N | --seconds S] [--seed S]
-                         mutants of every file that the instrument reads, 100 000 unless said otherwise
+  campaign [--mutants N | --seconds S | --kills N] [--seed S]
+                         mutants of every file that the instrument reads, 100 000 unless said otherwise; or kills of a check
+                         in each of its phases
   deny                   licences, sources and advisories of what is linked: cargo-deny with deny.toml
   ci                     all of it, in the order of .ci/run
 ";

@@ -24,7 +24,7 @@ use super::job::{SaveError, VALID_DAYS, write};
 #[non_exhaustive]
 pub enum BoardFolderError {
     /// Entries or files are missing or wrong; all are listed.
-    #[error("{} cannot be calibrated from; it lacks:{}", folder.display(), lacks.iter().map(|lack| format!("\n  - {lack}")).collect::<String>())]
+    #[error("{} cannot be calibrated from; it lacks:{}", folder.display(), listed(lacks))]
     Lacks {
         /// The folder.
         folder: PathBuf,
@@ -46,6 +46,21 @@ pub enum BoardFolderError {
     /// The calibration failed.
     #[error(transparent)]
     Board(#[from] BoardError),
+}
+
+/// Lacks that are listed take about so many characters: a hundred images that one plan names wrongly are no hundred lines.
+const MOST_LISTED: usize = 4000;
+
+fn listed(lacks: &[String]) -> String {
+    let mut text = String::new();
+    for (number, lack) in lacks.iter().enumerate() {
+        if text.len() > MOST_LISTED {
+            text += &format!("\n  - and {} more", lacks.len() - number);
+            break;
+        }
+        text += &format!("\n  - {lack}");
+    }
+    text
 }
 
 /// `board.toml`. All keys are optional, so that all missing ones can be reported at once.
@@ -432,5 +447,20 @@ fn images_of(plan: &Plan, pose: &Path, camera_px: &mut Option<[u32; 2]>, lacks: 
         if let Err(error) = header {
             lacks.push(error.to_string());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lacks_is_listed_until_it_floods() {
+        let few = listed(&["a plan".to_owned(), "a pose".to_owned()]);
+        assert_eq!(few, "\n  - a plan\n  - a pose");
+        let many = listed(&vec!["x".repeat(96); 240]);
+        // 5 characters before each, 101 in all: 40 are within 4 000 characters less a line, so 200 are counted.
+        assert!(many.ends_with("\n  - and 200 more"), "{many}");
+        assert!(many.len() < 4200);
     }
 }
