@@ -135,7 +135,8 @@ impl<P: StagePort> Esp301<P> {
             return Err(nonsense());
         }
         // What was sent at other speeds is noise to the stages' controller: an empty line ends what it took for the beginning of one.
-        self.send("").await
+        self.send("").await?;
+        self.forget_errors().await
     }
 
     /// Sends one line and reads the error buffer.
@@ -257,7 +258,6 @@ impl<P: StagePort> Esp301<P> {
     /// Line, motors on, dynamics, search for home and what it stands for.
     async fn prepare(&mut self, stage: &StageConfig) -> Result<Axes, StageFault> {
         self.set_line(&stage.line).await?;
-        self.forget_errors().await?;
         let axes = Axes::of(stage);
         for axis in [&axes.rotation, &axes.vertical] {
             self.order_axis(axis, &[Order::Plain("MO"), Order::Set("VA", axis.speed)])
