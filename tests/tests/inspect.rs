@@ -158,39 +158,6 @@ fn a_gear_of_another_cad_kernel() {
 }
 
 #[test]
-fn a_camera_that_misbehaves_is_never_go() {
-    for kind in ["lose", "repeat", "extra"] {
-        // In the first view, so that the second capture meets the fault again.
-        for frame in [0, 24] {
-            let fault = format!("{kind}:{frame}");
-            let always = inspect_on(&format!("[camera]\nframe_fault = \"{fault}\"\n"), &[]);
-            assert_eq!(
-                always.code, 2,
-                "{fault}: {} {}",
-                always.json["verdict"], always.json["reason"]
-            );
-            assert_eq!(always.json["verdict"], "indeterminate", "{fault}");
-            assert!(
-                always.json["frames"]["recaptured_views"].as_u64() >= Some(1),
-                "{fault}: captured again once"
-            );
-        }
-        // A camera that misbehaved once is forgiven: the view is captured again.
-        let once = format!("[camera]\nframe_fault = \"{kind}:30:once\"\n");
-        let once = inspect_on(&once, &[]);
-        assert_eq!(
-            once.code, 0,
-            "{kind} once: {} {}",
-            once.json["reason"], once.stderr
-        );
-        assert!(
-            once.json["frames"]["recaptured_views"].as_u64() >= Some(1),
-            "{kind} once"
-        );
-    }
-}
-
-#[test]
 fn the_report_is_one_file_with_its_pictures_inside() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new/out");

@@ -14,13 +14,8 @@ use flankscope_sim::{Clock, Port, Sim};
 /// No scheduler keeps a thread from running for so long.
 const LOST: Duration = Duration::from_secs(20);
 
-/// As many rounds as are asked for, else what a test may cost.
-fn rounds() -> u32 {
-    let asked = std::env::var("FLANKSCOPE_ROUNDS").ok();
-    asked
-        .and_then(|rounds| rounds.parse().ok())
-        .unwrap_or(10_000)
-}
+/// Less than a second of them.
+const ROUNDS: u32 = 10_000;
 
 #[test]
 fn no_wake_is_lost_between_threads() {
@@ -63,7 +58,7 @@ fn no_wake_is_lost_between_threads() {
         std::thread::spawn(move || {
             let mut longest = Duration::ZERO;
             let mut lost = None;
-            'rounds: for round in 0..rounds() {
+            'rounds: for round in 0..ROUNDS {
                 let began = Instant::now();
                 host.send(&[round as u8]);
                 while host.take().is_empty() {
@@ -83,9 +78,6 @@ fn no_wake_is_lost_between_threads() {
     sim.run_until(|| stop.load(Ordering::Acquire));
     let (lost, longest) = speaking.join().expect("no panic");
     let holds = holding.join().expect("no panic");
-    println!(
-        "{} rounds, {holds} holds, the longest answer took {longest:?}",
-        rounds()
-    );
+    println!("{ROUNDS} rounds, {holds} holds, the longest answer took {longest:?}");
     assert_eq!(lost, None, "a byte was never answered");
 }

@@ -321,7 +321,6 @@ mod tests {
         let most = 0.05 + 3.0 * (0.05 * 0.95 / VIEWS as f64).sqrt();
         for of_tooth in [false, true] {
             let ratio = feigned(of_tooth);
-            println!("{of_tooth}: {ratio}");
             assert!(ratio <= most, "{of_tooth}: {ratio}");
         }
     }

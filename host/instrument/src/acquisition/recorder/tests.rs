@@ -85,27 +85,60 @@ fn settings_of(sensor: Option<Sensor>) -> RecorderSettings {
     }
 }
 
-fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
+type Events = tokio::sync::mpsc::UnboundedReceiver<Recorded>;
+
+/// A recorder of frames from `source`, planned as a head's set has them, and what it reports.
+fn recorder_of<S: FrameSource>(
+    source: S,
+    sensor: Option<Sensor>,
+) -> (Recorder<'static, S>, Events) {
+    let decoder = crate::acquisition::sums::tests::decoder();
+    let planned = crate::acquisition::sums::planned_frames(&decoder, &[]);
+    let (_orders, receiver) = std::sync::mpsc::channel();
+    let (events, recorded) = tokio::sync::mpsc::unbounded_channel();
+    let fresh = move || ViewSums::new(&decoder, 1);
     let settings = settings_of(sensor);
+    let recorder = Recorder::new(source, settings, planned, receiver, events, fresh);
+    (recorder, recorded)
+}
+
+fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
     let source = Spoken {
         words: words.iter().rev().copied().collect(),
         armed: Vec::new(),
     };
-    let (_orders, receiver) = std::sync::mpsc::channel();
-    let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
-    let decoder = crate::acquisition::sums::tests::decoder();
-    let sums = || ViewSums::new(&decoder, 1);
-    let mut recorder = Recorder::new(source, settings, Vec::new(), receiver, events, sums);
-    recorder.arm_camera(Arm {
+    let (mut recorder, _recorded) = recorder_of(source, sensor);
+    let armed = recorder.arm_camera(Arm {
         session: 7,
         ..Arm::default()
-    })
+    });
+    assert!(recorder.open.is_none(), "nothing is summed");
+    armed
 }
 
-/// A camera that sends frames without end, each of another view.
-struct Babbling {
-    session: u32,
-    sent: u16,
+/// Two views of four patterns and a dark frame.
+const PLAN: Arm = Arm {
+    session: 7,
+    first_view: 0,
+    views: 2,
+    exposures: 1,
+    patterns: 4,
+};
+
+/// A camera whose frames the test makes.
+struct Made<F>(F);
+
+impl<F: FnMut() -> Option<FrameHeader>> FrameSource for Made<F> {
+    type Frame = Blank;
+    fn arm(&mut self, _: Arm) -> Result<(), ReceiveError> {
+        Ok(())
+    }
+    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+        Ok(None)
+    }
+    fn receive(&mut self, _: Duration) -> Result<Option<Blank>, ReceiveError> {
+        Ok((self.0)().map(Blank))
+    }
 }
 
 struct Blank(FrameHeader);
@@ -122,48 +155,21 @@ impl BorrowedFrame for Blank {
     }
 }
 
-impl FrameSource for Babbling {
-    type Frame = Blank;
-    fn arm(&mut self, _: Arm) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
-        Ok(None)
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Blank>, ReceiveError> {
-        self.sent = self.sent.wrapping_add(1);
-        let mut header = FrameHeader {
-            session: self.session,
-            ..FrameHeader::default()
-        };
-        header.label.view = self.sent;
-        Ok(Some(Blank(header)))
-    }
-}
-
 #[test]
 fn a_camera_that_never_ends_is_given_up_and_fills_no_memory() {
-    let decoder = crate::acquisition::sums::tests::decoder();
-    let plan = Arm {
-        session: 7,
-        views: 2,
-        exposures: 1,
-        patterns: 4,
-        ..Arm::default()
-    };
     // Of a session long past, of one that never was, and of the present one.
-    for (session, most) in [(3, 0), (9, plan.frames() + 1), (7, plan.frames() + 1)] {
-        let (_orders, receiver) = std::sync::mpsc::channel();
-        let (events, mut recorded) = tokio::sync::mpsc::unbounded_channel();
-        let mut recorder = Recorder::new(
-            Babbling { session, sent: 0 },
-            settings_of(None),
-            crate::acquisition::sums::planned_frames(&decoder, &[]),
-            receiver,
-            events,
-            || ViewSums::new(&decoder, 1),
-        );
-        recorder.arm = Some(plan);
+    for (session, most) in [(3, 0), (9, PLAN.frames() + 1), (7, PLAN.frames() + 1)] {
+        let mut header = FrameHeader {
+            session,
+            ..FrameHeader::default()
+        };
+        // Each of another view.
+        let endless = Made(move || {
+            header.label.view = header.label.view.wrapping_add(1);
+            Some(header)
+        });
+        let (mut recorder, mut recorded) = recorder_of(endless, None);
+        recorder.arm = Some(PLAN);
         recorder.earlier = VecDeque::from([3]);
         let begun = Instant::now();
         recorder.drain();
@@ -190,58 +196,21 @@ fn a_camera_that_never_ends_is_given_up_and_fills_no_memory() {
 }
 
 /// A host that is slow, or frames that are read from a disk.
-struct Slow {
-    left: u32,
-    each: Duration,
-}
-
-impl FrameSource for Slow {
-    type Frame = Blank;
-    fn arm(&mut self, _: Arm) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
-        Ok(None)
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Blank>, ReceiveError> {
-        let Some(left) = self.left.checked_sub(1) else {
-            return Ok(None);
-        };
-        self.left = left;
-        std::thread::sleep(self.each);
-        Ok(Some(Blank(FrameHeader {
-            session: 7,
-            ..FrameHeader::default()
-        })))
-    }
-}
-
 #[test]
 fn frames_that_come_one_by_one_are_waited_for_however_long_all_of_them_take() {
-    let plan = Arm {
-        session: 7,
-        views: 2,
-        exposures: 1,
-        patterns: 4,
-        ..Arm::default()
-    };
-    let decoder = crate::acquisition::sums::tests::decoder();
-    let (_orders, receiver) = std::sync::mpsc::channel();
-    let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
-    let mut recorder = Recorder::new(
-        Slow {
-            left: plan.frames(),
-            each: DRAINING / (plan.frames() - 2),
-        },
-        settings_of(None),
-        crate::acquisition::sums::planned_frames(&decoder, &[]),
-        receiver,
-        events,
-        || ViewSums::new(&decoder, 1),
-    );
-    recorder.arm = Some(plan);
+    let mut left = PLAN.frames();
+    let slow = Made(move || {
+        left = left.checked_sub(1)?;
+        std::thread::sleep(DRAINING / (PLAN.frames() - 2));
+        Some(FrameHeader {
+            session: PLAN.session,
+            ..FrameHeader::default()
+        })
+    });
+    let (mut recorder, _recorded) = recorder_of(slow, None);
+    recorder.arm = Some(PLAN);
     recorder.drain();
-    assert_eq!(recorder.arrived, plan.frames());
+    assert_eq!(recorder.arrived, PLAN.frames());
 }
 
 #[test]
