@@ -152,14 +152,29 @@ impl Check {
     fn hear(&mut self, word: &str, times: usize) -> anyhow::Result<bool> {
         let end = Instant::now() + LONGEST;
         while self.heard.iter().filter(|line| line.contains(word)).count() < times {
-            match self
-                .said
-                .recv_timeout(end.saturating_duration_since(Instant::now()))
-            {
-                Ok(line) => self.heard.push(line),
-                Err(RecvTimeoutError::Disconnected) => return Ok(false),
-                Err(RecvTimeoutError::Timeout) => bail!("no end: {:?}", self.heard),
+            if !self.hear_line(end)? {
+                return Ok(false);
             }
+        }
+        Ok(true)
+    }
+
+    /// Takes all that it says until it ends.
+    fn hear_out(&mut self) -> anyhow::Result<()> {
+        let end = Instant::now() + LONGEST;
+        while self.hear_line(end)? {}
+        Ok(())
+    }
+
+    /// Takes its next line; false if it ended.
+    fn hear_line(&mut self, end: Instant) -> anyhow::Result<bool> {
+        match self
+            .said
+            .recv_timeout(end.saturating_duration_since(Instant::now()))
+        {
+            Ok(line) => self.heard.push(line),
+            Err(RecvTimeoutError::Disconnected) => return Ok(false),
+            Err(RecvTimeoutError::Timeout) => bail!("no end: {:?}", self.heard),
         }
         Ok(true)
     }
@@ -267,9 +282,7 @@ impl<'a> Station<'a> {
         check.child.kill()?;
         let status = check.child.wait()?;
         // What it said before it died.
-        while let Ok(line) = check.said.recv_timeout(LONGEST) {
-            check.heard.push(line);
-        }
+        check.hear_out()?;
         if let Some(ended) = late {
             ensure!(
                 ended.code() == Some(i32::from(worn)),
@@ -348,7 +361,7 @@ impl<'a> Station<'a> {
     fn last_one(&mut self) -> anyhow::Result<()> {
         for worn in [false, true] {
             let mut check = self.start(worn)?;
-            check.hear("\0", 1)?;
+            check.hear_out()?;
             let code = check.child.wait()?.code();
             ensure!(code == Some(i32::from(worn)), "{code:?}: {:?}", check.heard);
             ensure!(self.judge(worn, &check)? == 1, "it is stored");

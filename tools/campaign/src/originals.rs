@@ -9,7 +9,7 @@ use flankscope_metrology::io::points::Format;
 use flankscope_metrology::io::{Unit, cloud};
 
 use crate::mutate::Structure;
-use crate::seeds;
+use crate::seeds::{self, LENS};
 
 /// Edge of the small image, pixels.
 pub const IMAGE_PX: u32 = 64;
@@ -222,7 +222,6 @@ tooth = 40
 rotation_rad = -2.9919930034188504
 vertical_mm = 33.0
 ";
-const LENS: &str = "\n[lens]\nzero_counts = 516.0\ndpt_per_count = 0.0399\nrange = [416, 616]\nsettle_ms = 150\ncounts = 541\n";
 
 const FRINGES: &str =
     "\n[[fringes]]\nperiods = 37\nsteps = 4\n\n[[fringes]]\nperiods = 49\nsteps = 10\n";

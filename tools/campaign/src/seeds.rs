@@ -1,12 +1,17 @@
 //! Originals that a command does more with than read: captures of a target, a head's focus series, a board in some poses. What
 //! they name lies beside them, so that a mutant gets as far as the calculation.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::Captures;
 use flankscope_profilometry::head::LensDrive;
+use nalgebra::{Rotation3, Vector3};
+
+/// Section of a head file on a driven lens.
+pub const LENS: &str = "\n[lens]\nzero_counts = 516.0\ndpt_per_count = 0.0399\nrange = [416, 616]\nsettle_ms = 150\ncounts = 541\n";
 
 /// Of the demo's captures, keeps the blank plate and one view of each printed plate, which is what an adjustment needs at least.
 pub fn shorten_captures(folder: &Path) -> anyhow::Result<()> {
@@ -28,13 +33,8 @@ pub fn shorten_captures(folder: &Path) -> anyhow::Result<()> {
 
 /// Three settings of a lens whose focal length grows with its power, from one calibrated head, and the file that lists them.
 pub fn write_focus(folder: &Path, calibrated: &Path) -> anyhow::Result<()> {
-    let lens = LensDrive {
-        zero_counts: 516.0,
-        dpt_per_count: 0.0399,
-        range: [416, 616],
-        settle_ms: 150,
-        counts: 516,
-    };
+    let mut table: BTreeMap<String, LensDrive> = toml::from_str(LENS)?;
+    let lens = table.remove("lens").context("a lens")?;
     let mut series =
         "name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\n\
                       celsius_sigma = 0.5\n"
@@ -57,34 +57,19 @@ pub fn write_focus(folder: &Path, calibrated: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-type Vector = [f64; 3];
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// Rows of the matrix that turns about x, then y, then z.
-fn turned([a, b, c]: Vector) -> [Vector; 3] {
-    let ((sa, ca), (sb, cb), (sc, cc)) = (a.sin_cos(), b.sin_cos(), c.sin_cos());
-    [
-        [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
-        [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
-        [-sb, cb * sa, cb * ca],
-    ]
-}
-
 const CAMERA_PX: [usize; 2] = [240, 180];
 const CAMERA_FOCAL_PX: f64 = 302.0;
 const CAMERA_PRINCIPAL_PX: [f64; 2] = [117.0, 92.0];
 const PROJECTOR_PX: [f64; 2] = [400.0, 300.0];
 const PROJECTOR_FOCAL_PX: f64 = 560.0;
 const PROJECTOR_PRINCIPAL_PX: [f64; 2] = [205.0, 270.0];
-const PROJECTOR_TURN: Vector = [0.17, 0.26, 0.05];
-const PROJECTOR_SHIFT_MM: Vector = [-118.0, -30.0, 40.0];
+const PROJECTOR_TURN_RAD: [f64; 3] = [0.17, 0.26, 0.05];
+const PROJECTOR_SHIFT_MM: Vector3<f64> = Vector3::new(-118.0, -30.0, 40.0);
 /// The board: 5 x 7 crossings.
 const PITCH_MM: f64 = 22.0;
-/// Turns of the board, and the place of its middle before the camera, mm.
-const POSES: [(Vector, Vector); 5] = [
+/// A pose: turns about x, then y, then z, rad; and the place of the board's middle before the camera, mm.
+type Pose = ([f64; 3], [f64; 3]);
+const POSES: [Pose; 5] = [
     ([0.35, 0.10, 0.05], [-8.0, 5.0, 330.0]),
     ([-0.30, 0.25, -0.10], [10.0, -6.0, 350.0]),
     ([0.10, -0.40, 0.20], [4.0, 8.0, 300.0]),
@@ -136,10 +121,11 @@ pub fn write_board(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// A pose in the light of a projector that shines as brightly as `light` says at each of its pixels: a binary PGM.
-fn photograph((turns, middle): &(Vector, Vector), light: impl Fn([f64; 2]) -> f64) -> Vec<u8> {
-    let board = turned(*turns);
-    let [along, across, normal] = [0, 1, 2].map(|k| [board[0][k], board[1][k], board[2][k]]);
-    let projector = turned(PROJECTOR_TURN);
+fn photograph((turns, middle): &Pose, light: impl Fn([f64; 2]) -> f64) -> Vec<u8> {
+    let [camera_from_board, projector_from_camera] =
+        [*turns, PROJECTOR_TURN_RAD].map(|[x, y, z]| Rotation3::from_euler_angles(x, y, z));
+    let middle = Vector3::from(*middle);
+    let normal = camera_from_board * Vector3::z();
     let [columns, rows] = CAMERA_PX;
     let mut image = format!("P5\n{columns} {rows}\n255\n").into_bytes();
     for pixel in 0..columns * rows {
@@ -150,13 +136,10 @@ fn photograph((turns, middle): &(Vector, Vector), light: impl Fn([f64; 2]) -> f6
             let sub = [part % 3, part / 3].map(|third| (third as f64 - 1.0) / 3.0);
             let [x, y] =
                 [0, 1].map(|i| (at[i] as f64 + sub[i] - CAMERA_PRINCIPAL_PX[i]) / CAMERA_FOCAL_PX);
-            let depth = dot(normal, *middle) / dot(normal, [x, y, 1.0]);
-            let point = [x * depth, y * depth, depth];
-            let away = [0, 1, 2].map(|i| point[i] - middle[i]);
-            let square = [
-                dot(along, away) / PITCH_MM + 2.0,
-                dot(across, away) / PITCH_MM + 3.0,
-            ];
+            let ray = Vector3::new(x, y, 1.0);
+            let point = ray * (normal.dot(&middle) / normal.dot(&ray));
+            let on_board = camera_from_board.inverse() * (point - middle);
+            let square = [on_board.x / PITCH_MM + 2.0, on_board.y / PITCH_MM + 3.0];
             let [column, row] = square.map(f64::floor);
             let inside = (-1.0..5.0).contains(&column) && (-1.0..7.0).contains(&row);
             let print = if inside && (column + row).rem_euclid(2.0) == 0.0 {
@@ -164,7 +147,7 @@ fn photograph((turns, middle): &(Vector, Vector), light: impl Fn([f64; 2]) -> f6
             } else {
                 250.0
             };
-            let lit = [0, 1, 2].map(|i| dot(projector[i], point) + PROJECTOR_SHIFT_MM[i]);
+            let lit = projector_from_camera * point + PROJECTOR_SHIFT_MM;
             let at_px =
                 [0, 1].map(|i| PROJECTOR_FOCAL_PX * lit[i] / lit[2] + PROJECTOR_PRINCIPAL_PX[i]);
             seen += print * light(at_px) / 9.0;
