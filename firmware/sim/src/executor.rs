@@ -2,14 +2,14 @@
 
 use crate::clock;
 use crate::line::{Edge, Line, Recorder};
+use crate::sync::{Condvar, Mutex, MutexGuard, ThreadId, current};
 use core::cell::{Cell, RefCell};
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
 use std::rc::Rc;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
-use std::thread::ThreadId;
+use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How virtual time passes.
@@ -75,7 +75,7 @@ impl Bell {
     }
 
     fn ring(&self) {
-        let inside = std::thread::current().id() == self.owner;
+        let inside = current().id() == self.owner;
         let mut shared = self.lock();
         if inside {
             shared.woken_inside = true;
@@ -163,7 +163,7 @@ impl Sim {
     #[must_use]
     pub fn new(mode: Clock) -> Self {
         clock::reset();
-        let owner = std::thread::current().id();
+        let owner = current().id();
         let bell = Bell {
             owner,
             shared: Mutex::default(),

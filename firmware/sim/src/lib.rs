@@ -31,6 +31,7 @@ mod executor;
 pub mod i2c;
 pub mod line;
 pub mod pty;
+mod sync;
 pub mod uart;
 mod watchdog;
 mod wiring;

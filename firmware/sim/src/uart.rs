@@ -1,5 +1,6 @@
 //! Virtual UARTs: two byte queues, one per direction. Ends may live on different threads.
 
+use crate::sync::{Mutex, MutexGuard};
 use core::convert::Infallible;
 use core::future::poll_fn;
 use core::task::{Poll, Waker};
@@ -7,7 +8,7 @@ use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::stage::StagePort;
 use flankscope_protocol::Line;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 
 #[derive(Debug, Default)]
 struct Queue {

@@ -96,6 +96,16 @@ fn root() -> PathBuf {
 /// The crate behind the Python package.
 const PYTHON: &str = "host/python";
 
+/// The test whose locks are a scheduler's instead of the system's, as no other is built.
+const INTERLEAVINGS: &[&str] = &[
+    "-p",
+    "flankscope-sim",
+    "--features",
+    "shuttle",
+    "--test",
+    "interleavings",
+];
+
 /// Where cargo builds.
 fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
@@ -121,6 +131,7 @@ fn test(all: bool) -> Result<(), String> {
         // What a press gets, where there is no bench: its dependencies are built once more.
         let deployment = ["-p", "flankscope", "--no-default-features", "--bins"];
         tests = tests.and(run(self::cargo(&[&["test"][..], &deployment].concat())));
+        tests = tests.and(run(self::cargo(&[&["test"][..], INTERLEAVINGS].concat())));
         tests = tests.and(python::run_all(&root()));
     }
     let arrows = arrows(&root());
@@ -140,8 +151,8 @@ fn test(all: bool) -> Result<(), String> {
             "  --all adds                 10 times the kills (2 000), 10 seeds instead of 2, 120 damaged dies instead of 8, \
              30 000 drawn flanks instead of 3 000; three times the shapes of damage, surfaces and unmodelled errors; uneven \
              lenses, dies of other teeth or put down turned by one, a study in small, README and docs/hardware.md step by \
-             step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; a \
-             deployment without a bench; the Python package; and fails where something cannot run"
+             step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; \
+             interleavings of the simulated controller's threads; a deployment without a bench; the Python package; and fails where something cannot run"
         );
     }
     match (tests, arrows) {
@@ -180,6 +191,8 @@ fn lint() -> Result<(), String> {
     let mut clippy = cargo(&["clippy", "--workspace", "--all-targets"]);
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
+    let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
+    run(cargo(&interleavings))?;
     // What a deployment builds: no bench.
     run(cargo(&[
         "clippy",
