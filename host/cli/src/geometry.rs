@@ -9,7 +9,7 @@ use flankscope_foundation::rigid::{Cloud as CloudFrame, Rigid, Tool};
 use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::cloud::{self, Cloud};
 use flankscope_metrology::io::mesh::{self, TriMesh};
-use flankscope_metrology::registration::{fit_pairs, parse_pairs};
+use flankscope_metrology::registration::{Options, fit_pairs, parse_pairs};
 use flankscope_metrology::surface::orientation::{Orientation, orient};
 
 use crate::output::{Common, say};
@@ -94,6 +94,53 @@ pub struct Cad {
 /// Loads a cloud.
 pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
     cloud::load(path, unit.into()).with_context(|| format!("cannot use cloud {}", path.display()))
+}
+
+/// Where a registration begins.
+#[derive(clap::Args)]
+pub struct StartPose {
+    /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`) [default: identity].
+    #[arg(long, value_name = "T.json", conflicts_with = "pairs")]
+    init: Option<PathBuf>,
+    /// Start pose from picked pairs: per line cloud x,y,z, then CAD x,y,z, mm.
+    #[arg(long, value_name = "P.csv")]
+    pairs: Option<PathBuf>,
+}
+
+impl StartPose {
+    /// The pose; identity where none was given.
+    pub fn pose(&self) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
+        if let Some(path) = &self.init {
+            return read_pose(path)
+                .with_context(|| format!("cannot use start pose {}", path.display()));
+        }
+        if let Some(path) = &self.pairs {
+            return pose_of_pairs(path);
+        }
+        Ok(Options::default().initial)
+    }
+}
+
+/// A pose is a bare matrix, or a document with a pose.
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+enum PoseFile {
+    Bare([[f64; 4]; 4]),
+    Document { tool_from_cloud: [[f64; 4]; 4] },
+}
+
+fn read_pose(path: &Path) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
+    let text = flankscope_foundation::files::read_text(path)?;
+    // Parsed as generic JSON first, so that a syntax error is reported with line and column.
+    let value: serde_json::Value = serde_json::from_str(&text)?;
+    let pose: PoseFile = serde_json::from_value(value).map_err(|_| {
+        anyhow::anyhow!("no pose in it; right would be [[r,r,r,x],[r,r,r,y],[r,r,r,z],[0,0,0,1]] or {{\"tool_from_cloud\": [[...]]}}, mm")
+    })?;
+    let (PoseFile::Bare(rows)
+    | PoseFile::Document {
+        tool_from_cloud: rows,
+    }) = pose;
+    Ok(Rigid::from_rows(&rows)?)
 }
 
 /// The pose from picked pairs of points.

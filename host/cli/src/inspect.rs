@@ -7,7 +7,7 @@ use flankscope_foundation::display::plain;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::recording_id;
 use flankscope_metrology::verdict::Word;
-use flankscope_record::document::{FeatureId, Inspection};
+use flankscope_record::document::{Feature, FeatureId, FlankInView, Inspection};
 use flankscope_record::origin::{Link, Origin};
 use flankscope_record::sink::ResultSink;
 use flankscope_report::{ReportFolder, Words, figure};
@@ -226,18 +226,21 @@ pub fn widest<'a>(parts: impl Iterator<Item = &'a FeatureId>) -> usize {
         .max(6)
 }
 
-/// Prints the results of every flank, within 80 columns; then the reasons of those that are not "go".
-fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
+/// Prints the results of every flank, within 80 columns; then the reasons of those that are not "go", and what else is in view.
+pub fn print_flanks(
+    out: &mut impl Write,
+    features: &[Feature],
+    in_view: &[FlankInView],
+) -> std::io::Result<()> {
     let terminal = Terminal::of_stdout();
-    let mut out = std::io::stdout().lock();
-    let words = Words::of(inspection.features.iter().map(|f| &f.id));
-    let wide = widest(inspection.features.iter().map(|f| &f.id));
+    let words = Words::of(features.iter().map(|f| &f.id));
+    let wide = widest(features.iter().map(|f| &f.id));
     let header = format!(
         "{:>5} {:<wide$}  wear  ±U95  mean proud  cell  tip/mm  detects  seen  verdict",
         words.number, words.one
     );
     writeln!(out, "\n{}", terminal.text(&header))?;
-    for f in &inspection.features {
+    for f in features {
         let detail = f.detail.as_ref();
         let tip = detail.and_then(|d| d.tip_edge_radius_mm);
         let line = format!(
@@ -257,25 +260,32 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         let verdict = terminal.in_colour(f.verdict, f.verdict.as_str());
         writeln!(out, "{}{verdict}", terminal.text(&line))?;
     }
-    if let Some(f) = inspection.features.first() {
+    if let Some(f) = features.first() {
         let units = format!(
             "wear and what follows in µm unless said otherwise; warn {:.0} µm, stop {:.0} µm",
             f.warn_um, f.limit_um
         );
         writeln!(out, "{}", terminal.text(&units))?;
     }
-    for f in &inspection.features {
+    for f in features {
         if let Some(reason) = &f.reason {
             let why = format!("{}: {reason}", f.id);
             writeln!(out, "{}", terminal.sentence(&why))?;
         }
     }
-    for f in &inspection.in_view {
+    for f in in_view {
         let figures = format!("{} ± {} um", figure(f.wear_um), figure(f.u95_um));
         let seen = format!("{:.0} % seen", 100.0 * f.coverage_ratio);
         let beside = format!("{}, not asked for: {figures}, {seen}: {}", f.id, f.verdict);
         writeln!(out, "{}", terminal.sentence(&beside))?;
     }
+    Ok(())
+}
+
+fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
+    let terminal = Terminal::of_stdout();
+    let mut out = std::io::stdout().lock();
+    print_flanks(&mut out, &inspection.features, &inspection.in_view)?;
     if let Some(identity) = &inspection.tooth_identity {
         writeln!(out, "{}", terminal.sentence(&identity.reason))?;
     }

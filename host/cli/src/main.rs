@@ -39,6 +39,7 @@ mod site;
 mod terminal;
 mod trust;
 mod watch;
+mod wear;
 
 use std::process::ExitCode;
 
@@ -72,6 +73,7 @@ enum Command {
     Register(register::Args),
     Deviation(deviation::Args),
     Merge(merge::Args),
+    Wear(wear::Args),
     Gear(gear::Args),
     History(history::Args),
     Replay(replay::Args),
@@ -148,6 +150,7 @@ fn main() -> ExitCode {
         Command::Register(args) => register::run(&args),
         Command::Deviation(args) => deviation::run(&args),
         Command::Merge(args) => merge::run(&args),
+        Command::Wear(args) => wear::run(&args),
         Command::Gear(args) => gear::run(&args),
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),

@@ -19,7 +19,7 @@ use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
 use crate::geometry::{
-    Cad, CadArgs, CloudUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
+    Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
 };
 use crate::output::{Common, Outcome};
 
@@ -44,12 +44,8 @@ pub struct Args {
     cloud: PathBuf,
     #[command(flatten)]
     cloud_unit: CloudUnit,
-    /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`) [default: identity].
-    #[arg(long, value_name = "T.json", conflicts_with = "pairs")]
-    init: Option<PathBuf>,
-    /// Start pose from picked pairs: per line cloud x,y,z, then CAD x,y,z, mm.
-    #[arg(long, value_name = "P.csv")]
-    pairs: Option<PathBuf>,
+    #[command(flatten)]
+    start: StartPose,
     /// Standard deviation of a point, mm. All limits of the fit scale with it: the first iterations use points up to 250 times this
     /// distance from the surface, an inlier lies within 7.5 times, and a direction counts as observed if its own standard deviation is
     /// below half of it.
@@ -194,7 +190,7 @@ impl Args {
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, .. } = cad.load(&self.common)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
-        let initial = self.start_pose()?;
+        let initial = self.start.pose()?;
         let loaded = Instant::now();
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
         // By default teeth point inwards; a body of revolution inside the CAD shows that they point outwards.
@@ -227,7 +223,7 @@ impl Args {
         );
         let other = load_cloud(reference, self.cloud_unit)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
-        let initial = self.start_pose()?;
+        let initial = self.start.pose()?;
         let loaded = Instant::now();
         let surface = CloudSurface::new(&other.points, self.noise_mm)
             .with_context(|| format!("cannot use cloud {}", reference.display()))?;
@@ -251,39 +247,6 @@ impl Args {
             ..Options::for_noise(self.noise_mm)
         }
     }
-
-    fn start_pose(&self) -> anyhow::Result<Rigid<Tool, Cloud>> {
-        if let Some(path) = &self.init {
-            return read_pose(path)
-                .with_context(|| format!("cannot use start pose {}", path.display()));
-        }
-        if let Some(path) = &self.pairs {
-            return pose_of_pairs(path);
-        }
-        Ok(Options::default().initial)
-    }
-}
-
-/// A pose is a bare matrix, or a document with a pose.
-#[derive(serde::Deserialize)]
-#[serde(untagged)]
-enum PoseFile {
-    Bare([[f64; 4]; 4]),
-    Document { tool_from_cloud: [[f64; 4]; 4] },
-}
-
-fn read_pose(path: &Path) -> anyhow::Result<Rigid<Tool, Cloud>> {
-    let text = flankscope_foundation::files::read_text(path)?;
-    // Parsed as generic JSON first, so that a syntax error is reported with line and column.
-    let value: serde_json::Value = serde_json::from_str(&text)?;
-    let pose: PoseFile = serde_json::from_value(value).map_err(|_| {
-        anyhow::anyhow!("no pose in it; right would be [[r,r,r,x],[r,r,r,y],[r,r,r,z],[0,0,0,1]] or {{\"tool_from_cloud\": [[...]]}}, mm")
-    })?;
-    let (PoseFile::Bare(rows)
-    | PoseFile::Document {
-        tool_from_cloud: rows,
-    }) = pose;
-    Ok(Rigid::from_rows(&rows)?)
 }
 
 impl Report {

@@ -127,7 +127,10 @@ mod tests {
             utf8.text("80.0 um of the drum, wear/um, limit_um, --taper-um 15 um"),
             "80.0 µm of the drum, wear/µm, limit_um, --taper-um 15 µm"
         );
-        assert_eq!(utf8.text("cannot read 10um.ply"), "cannot read 10um.ply");
+        // Names of files and values of options stay as they are typed.
+        for typed in ["cannot read 10um.ply", "say so with --cad-unit \"um\""] {
+            assert_eq!(utf8.text(typed), typed);
+        }
         let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);
         assert_eq!(c.text("±4.5 µm, –"), "+-4.5 um, -");
     }

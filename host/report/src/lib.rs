@@ -99,7 +99,7 @@ pub fn with_micro(text: &str) -> String {
         let begins = before
             .chars()
             .last()
-            .is_none_or(|c| !c.is_alphanumeric() && c != '_' && c != '-');
+            .is_none_or(|c| !c.is_alphanumeric() && !['_', '-', '"'].contains(&c));
         let ends = after
             .chars()
             .next()

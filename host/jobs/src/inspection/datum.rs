@@ -3,11 +3,11 @@
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::patch::Patches;
-use flankscope_metrology::surface::Closest;
+use flankscope_metrology::surface::{Closest, Surface};
+use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use nalgebra::{Point3, Vector3};
 
-use super::place::Place;
 use super::views::EvaluatorError;
 use crate::plan::FieldOfView;
 use flankscope_metrology::wear::sensitivity::LEAST_POINTS;
@@ -19,10 +19,42 @@ const STEP_MM: f64 = 0.05;
 /// they would hold the view along a plane, which no point of a plane can, and only as well as an edge is known.
 const RIM_MM: f64 = 0.15;
 
-/// Selects the points inside the datum of the place's patch, by the stages' pose (tool frame, mm).
-pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
-    let judged = patches.get(place.tooth);
-    let closest = place.surface.closest_many(points);
+/// Selects the points on a gear (tool frame, mm) that the pose may rest on while these teeth are judged. Judged flanks are
+/// excluded: their wear would pull the pose towards them and hide part of itself (a fifth, for 10 µm on one of seven flanks in
+/// view). The whole judged tooth is excluded, because wear at the ends of a flank extends into what would count as a land. If
+/// the tool file names bands of height, points on flanks within them are used alone, also on judged teeth.
+pub(super) fn on_gear(
+    datum: Datum,
+    bands_mm: &[[f64; 2]],
+    gear: &GearData,
+    judged: &[u32],
+    points: &[[f64; 3]],
+) -> Vec<bool> {
+    if !bands_mm.is_empty() {
+        return within_bands(bands_mm, gear, points);
+    }
+    let margin_mm = 0.05 * gear.module_mm;
+    let (low_mm, high_mm) = (
+        gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,
+        gear.tip_radius_mm.max(gear.root_radius_mm) - margin_mm,
+    );
+    let is_used = |&[x, y, _]: &[f64; 3]| match datum {
+        Datum::Neighbours => !judged.contains(&gear.tooth_at(y.atan2(x))),
+        Datum::Lands => !(low_mm..high_mm).contains(&x.hypot(y)),
+        Datum::All => true,
+    };
+    points.iter().map(is_used).collect()
+}
+
+/// Selects the points inside the datum of a patch (tool frame, mm).
+pub(super) fn within(
+    patches: &Patches,
+    patch: u32,
+    surface: &Surface,
+    points: &[[f64; 3]],
+) -> Vec<bool> {
+    let judged = patches.get(patch);
+    let closest = surface.closest_many(points);
     let on = closest.iter().map(|at| {
         let (number, patch) = patches.at(at.triangle, at.point)?;
         judged?.rests_on(number).then_some((number, patch, at))
@@ -38,7 +70,7 @@ pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> V
             steps.map(|[a, u]| (Vector3::from(at.point) + RIM_MM * (along * a + up * u)).into())
         })
         .collect();
-    let beside = place.surface.closest_many(&probes);
+    let beside = surface.closest_many(&probes);
     let mut beside = beside.chunks_exact(steps.len());
     on.iter()
         .map(|on| {
@@ -52,11 +84,7 @@ pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> V
 
 /// Selects the points on flanks within these bands of height, mm, by the stages' pose (tool frame, mm). Tip and root lands are
 /// excluded, because the stated form error applies to flanks.
-pub(super) fn within_bands(
-    bands_mm: &[[f64; 2]],
-    gear: &GearData,
-    points: &[[f64; 3]],
-) -> Vec<bool> {
+fn within_bands(bands_mm: &[[f64; 2]], gear: &GearData, points: &[[f64; 3]]) -> Vec<bool> {
     let [low_mm, high_mm] = gear.active_flank_mm();
     let is_on = |&[x, y, z]: &[f64; 3]| {
         (low_mm..=high_mm).contains(&x.hypot(y))

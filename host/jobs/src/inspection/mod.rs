@@ -17,12 +17,14 @@
 //! | `in_view` | flanks in a view other than the requested ones, and missing teeth |
 //! | `findings` | from outcomes of all views to the findings of a check |
 //! | `verdict` | from flanks to one verdict |
+//! | `foreign_cloud` | the same figures and rules for a cloud of another scanner |
 
 mod datum;
 mod die_size;
 mod exposures;
 mod findings;
 mod flank_decision;
+mod foreign_cloud;
 mod head_error;
 mod in_view;
 mod job;
@@ -37,6 +39,7 @@ mod views;
 
 pub(crate) use exposures::exposures_disagree;
 pub(crate) use findings::Findings;
+pub use foreign_cloud::{CloudPose, CloudVerdict, ForeignCloud, judge_cloud};
 pub(crate) use head_error::calibration_um;
 pub use in_view::InView;
 pub use job::InspectError;

@@ -408,8 +408,13 @@ impl Evaluator {
         if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, places) {
             return self.not_assessed(place, &why);
         }
-        let scale_mm = match die_size::scale_mm(features, place, measured.closest, places, settings)
-        {
+        let scale_mm = match die_size::scale_mm(
+            features,
+            (place.tooth, &place.zone),
+            measured.closest,
+            places,
+            settings,
+        ) {
             Ok(scale_mm) => scale_mm,
             Err(why) => return self.not_assessed(place, &why),
         };
@@ -506,31 +511,16 @@ impl Evaluator {
         }
     }
 
-    /// Selects the points that the fit may use. Judged flanks are excluded: their wear would pull the pose towards them and hide
-    /// part of itself (a fifth, for 10 µm on one of seven flanks in view). The whole judged tooth is excluded, because wear at
-    /// the ends of a flank extends into what would count as a land. For a tool with patches, points inside the judged patch's
-    /// datum are used; if the tool file names bands of height, points on flanks within them, also on the judged tooth.
-    ///
-    /// The position of a point is taken from the stages' pose, which is off by hundredths of a millimetre.
+    /// Selects the points that the fit may use, by the stages' pose, which is off by hundredths of a millimetre.
     fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
         let gear = match self.features() {
             Features::Gear(gear) => gear,
-            Features::Patches(patches) => return datum::within(patches, place, points),
+            Features::Patches(patches) => {
+                return datum::within(patches, place.tooth, &place.surface, points);
+            }
         };
-        if !self.datum_bands_mm.is_empty() {
-            return datum::within_bands(&self.datum_bands_mm, gear, points);
-        }
-        let margin_mm = 0.05 * gear.module_mm;
-        let (low_mm, high_mm) = (
-            gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,
-            gear.tip_radius_mm.max(gear.root_radius_mm) - margin_mm,
-        );
-        let is_datum = |&[x, y, _]: &[f64; 3]| match self.datum {
-            Datum::Neighbours => gear.tooth_at(y.atan2(x)) != place.tooth,
-            Datum::Lands => !(low_mm..high_mm).contains(&x.hypot(y)),
-            Datum::All => true,
-        };
-        points.iter().map(is_datum).collect()
+        let judged = [place.tooth];
+        datum::on_gear(self.datum, &self.datum_bands_mm, gear, &judged, points)
     }
 
     fn unmeasured(

@@ -26,3 +26,14 @@ impl Unit {
         }
     }
 }
+
+impl std::fmt::Display for Unit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Mm => "mm",
+            Self::M => "m",
+            Self::Um => "um",
+            Self::Inch => "inch",
+        })
+    }
+}

@@ -423,8 +423,10 @@ mod tests {
             );
             let rough = 0.1 * deepest_mm.max(1e-3);
             assert!((read.mean_mm.value - exact.mean_mm.value).abs() < 0.02e-3 + 0.02 * rough);
-            assert_eq!(read.hidden_mm, None);
-            assert_eq!(exact.hidden_mm, None);
+            // The rim of a pit may look like a groove, which hides no more than was read anyway.
+            for hidden_mm in [read.hidden_mm, exact.hidden_mm].into_iter().flatten() {
+                assert!(k == 0 && hidden_mm <= 1.1 * deepest_mm, "{k}: {hidden_mm}");
+            }
             assert_eq!(parts.points, points.points);
             // Where a part lies on the pit's rim its place is uncertain, and said to be; without an edge in the disc only noise
             // is left.

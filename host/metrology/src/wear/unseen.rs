@@ -63,12 +63,14 @@ pub(super) fn of_cells(
     let field = discs.field();
     let slant = visibility.map_or(SLANT, Visibility::slant);
     let mut all = texture::of_cells(discs, slant);
+    let reached_mm = |cells: &[usize], level_mm: f64| reached_mm(discs, cells, level_mm, scale);
+    for (unseen, groove) in all.iter_mut().zip(field.grooves(slant, scale, reached_mm)) {
+        *unseen = unseen.or(groove);
+    }
     if let Some(visibility) = visibility {
-        let reached_mm = |cells: &[usize], level_mm: f64| reached_mm(discs, cells, level_mm, scale);
-        let grooves = field.grooves(slant, scale, reached_mm);
         let shadows = visibility.shadows(field, scale);
-        for ((unseen, groove), shadow) in all.iter_mut().zip(grooves).zip(shadows) {
-            *unseen = unseen.or(groove).or(shadow);
+        for (unseen, shadow) in all.iter_mut().zip(shadows) {
+            *unseen = unseen.or(shadow);
         }
     }
     all

@@ -117,7 +117,7 @@ pub enum MeshError {
     },
     /// Too small for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: {}",
+        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit}, below {least_mm} mm: {}",
         if_too_small(.unit)
     )]
     TooSmall {
@@ -130,7 +130,7 @@ pub enum MeshError {
     },
     /// Too large for a die.
     #[error(
-        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: {}",
+        "bounding box diagonal is {diagonal_mm} mm when read in {unit}, above {most_mm} mm: {}",
         if_too_large(.unit)
     )]
     TooLarge {
@@ -159,7 +159,7 @@ fn if_too_large(read_in: &Unit) -> &'static str {
     match read_in {
         Unit::M | Unit::Inch => PROBABLY_MM,
         Unit::Mm => {
-            "the file is probably in micrometres; say so with --cad-unit um (tool file: unit = \"um\")"
+            "the file is probably in micrometres; say so with --cad-unit \"um\" (tool file: unit = \"um\")"
         }
         Unit::Um => "the file is damaged, or shows no die",
     }
