@@ -288,6 +288,7 @@ impl Evaluator {
                 dark: &dark,
                 undecoded: &undecoded,
                 range_mm: self.field.range_mm,
+                light: &cold.light_e,
             }),
         };
         let assessed = match (&fit.registration.status, &self.scale) {
@@ -342,6 +343,7 @@ impl Evaluator {
         ColdPoints {
             points: chosen.iter().map(cold).collect(),
             sigma: chosen.iter().map(|&i| cloud.sigma_z_mm[i]).collect(),
+            light_e: chosen.iter().map(|&i| cloud.modulation_e[i]).collect(),
             dropped,
         }
     }
@@ -566,6 +568,8 @@ impl Evaluator {
 struct ColdPoints {
     points: Vec<[f64; 3]>,
     sigma: Vec<f32>,
+    /// Direct light of each: amplitude of the finest fringes, electrons.
+    light_e: Vec<f32>,
     /// Indices of the cloud's outliers.
     dropped: Vec<usize>,
 }

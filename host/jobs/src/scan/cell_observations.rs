@@ -88,6 +88,8 @@ impl<'a> Laid<'a> {
                 dark: &without_point,
                 undecoded: &[],
                 range_mm,
+                // Nor is that of the points.
+                light: &[],
             }),
         };
         FlankView::by_flank(gear, measured)

@@ -124,6 +124,7 @@ pub fn evaluate_placed<'a>(
         };
         if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
             counts.points[cell] += 1;
+            counts.light[cell] += sight.light.get(index).map_or(0.0, |&e| f64::from(e));
             // A sum here; divided by the number of points below.
             counts.slant += sight.slant(*point, closest);
         }

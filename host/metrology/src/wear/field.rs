@@ -221,7 +221,7 @@ impl Field {
 
     /// Slopes of a cell and the cells around it along profile and height, each by least squares as if the other were
     /// none, which holds but for missing cells.
-    pub(super) fn slope(&self, cell: usize) -> f64 {
+    pub(super) fn slopes(&self, cell: usize) -> [f64; 2] {
         let place = |c: usize, axis: usize| {
             let index = if axis == 0 {
                 c % self.columns
@@ -250,7 +250,13 @@ impl Field {
                 0.0
             }
         };
-        along(0).hypot(along(1))
+        [along(0), along(1)]
+    }
+
+    /// The size of both.
+    pub(super) fn slope(&self, cell: usize) -> f64 {
+        let [along, up] = self.slopes(cell);
+        along.hypot(up)
     }
 
     /// By how much the surface about one border of the block of nine cells lies deeper than about the opposite one, mm: the larger one of

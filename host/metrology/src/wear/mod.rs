@@ -12,6 +12,7 @@
 //! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
 //! shape of damage is presumed. The figures of a flank are in [`JudgedFigures`], their sources of uncertainty in [`Budget`].
 
+mod brightness;
 mod budget;
 mod disc;
 mod edge;

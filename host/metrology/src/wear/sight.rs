@@ -41,6 +41,8 @@ pub struct Sight<'a> {
     pub undecoded: &'a [[f64; 3]],
     /// Nearest and farthest distance at which the head measures, mm.
     pub range_mm: [f64; 2],
+    /// Direct light of every point, in any unit; empty where it is not known.
+    pub light: &'a [f32],
 }
 
 impl Sight<'_> {
@@ -125,6 +127,8 @@ pub(super) struct RayCounts {
     /// Those that brought light, but no point.
     pub undecoded: Vec<u32>,
     pub points: Vec<u32>,
+    /// Sum of the points' direct light.
+    pub light: Vec<f64>,
     /// Mean tangent of the angle between the rays and the flank's normal.
     pub slant: f64,
 }
@@ -136,6 +140,7 @@ impl RayCounts {
             dark: vec![0; cells],
             undecoded: vec![0; cells],
             points: vec![0; cells],
+            light: vec![0.0; cells],
             slant: 0.0,
         }
     }
@@ -157,6 +162,8 @@ struct Block {
 pub(super) struct Visibility {
     /// Of that view in those cells; nothing where there is no point in the cell itself.
     blocks: Vec<Block>,
+    /// Logarithm of the mean light of that view's points in the cell itself; not a number where it is not known.
+    light: Vec<f64>,
     /// Largest tangent of the angle between rays and normal.
     slant: f64,
 }
@@ -195,20 +202,31 @@ impl Visibility {
                 }
             })
             .collect();
+        let light = counts.light.iter().zip(&counts.points);
         Self {
             blocks,
+            light: light
+                .map(|(sum, &points)| Some(sum / f64::from(points)).filter(|mean| *mean > 0.0))
+                .map(|mean| mean.map_or(f64::NAN, f64::ln))
+                .collect(),
             slant: counts.slant,
         }
     }
 
     /// Adds another view: a cell that one view shows is not hidden.
     pub fn add(&mut self, other: &Self) {
-        for (best, block) in self.blocks.iter_mut().zip(&other.blocks) {
+        let own = self.blocks.iter_mut().zip(&mut self.light);
+        for ((best, light), (block, its)) in own.zip(other.blocks.iter().zip(&other.light)) {
             if block.points > best.points {
-                *best = *block;
+                (*best, *light) = (*block, *its);
             }
         }
         self.slant = self.slant.max(other.slant);
+    }
+
+    /// Logarithm of each cell's mean light; not a number where it is not known.
+    pub fn light(&self) -> &[f64] {
+        &self.light
     }
 
     /// Largest tangent of the angle between rays and normal.
@@ -355,6 +373,7 @@ mod tests {
                 dark: &directions,
                 undecoded: &[],
                 range_mm: [15.0, 30.0],
+                light: &[],
             };
             let near = |place: &FlankPlace| {
                 // The march ends 5 µm in front of the flank; a facet's sagitta is a thousandth of that.
@@ -391,6 +410,7 @@ mod tests {
             dark: &away,
             undecoded: &[],
             range_mm: [15.0, 30.0],
+            light: &[],
         };
         assert!(sight.places_along(&gear, sight.dark).is_empty());
     }

@@ -3,7 +3,8 @@
 //! ```text
 //!  rays that meet the cell, points that lie there ──► shadows: fewer points than rays                    ─┐
 //!  cells deeper than both neighbours              ──► single openings too narrow to look into             ├─► share, depth
-//!  scatter of points within cells (texture.rs)    ──► openings side by side, each narrower than a cell   ─┘
+//!  scatter of points within cells (texture.rs)    ──► openings side by side, each narrower than a cell    │
+//!  light that no slope explains (brightness.rs)   ──► the same, where their points hardly scatter        ─┘
 //! ```
 //!
 //! A camera that looks along a flank at an angle of tangent t to its normal sees down to w / t into an opening of width w: where
@@ -14,7 +15,7 @@
 
 use super::disc::Discs;
 use super::sight::Visibility;
-use super::texture;
+use super::{brightness, texture};
 
 /// Depth over width that is supposed of an opening whose floor is not seen: scores, pits and V grooves of worn dies are not
 /// steeper; a crack that is narrower than a cell takes up little of a disc.
@@ -69,8 +70,9 @@ pub(super) fn of_cells(
     }
     if let Some(visibility) = visibility {
         let shadows = visibility.shadows(field, scale);
-        for (unseen, shadow) in all.iter_mut().zip(shadows) {
-            *unseen = unseen.or(shadow);
+        let by_light = brightness::of_cells(field, visibility.light(), slant);
+        for ((unseen, shadow), by_light) in all.iter_mut().zip(shadows).zip(by_light) {
+            *unseen = unseen.or(shadow).or(by_light);
         }
     }
     all
