@@ -128,7 +128,10 @@ mod tests {
             "80.0 µm of the drum, wear/µm, limit_um, --taper-um 15 µm"
         );
         // Names of files and values of options stay as they are typed.
-        for typed in ["cannot read 10um.ply", "say so with --cad-unit \"um\""] {
+        for typed in [
+            "cannot read 10um.ply",
+            "say so with --cad-unit um (tool file: unit = \"um\")",
+        ] {
             assert_eq!(utf8.text(typed), typed);
         }
         let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);

@@ -99,7 +99,9 @@ pub fn with_micro(text: &str) -> String {
         let begins = before
             .chars()
             .last()
-            .is_none_or(|c| !c.is_alphanumeric() && !['_', '-', '"'].contains(&c));
+            .is_none_or(|c| !c.is_alphanumeric() && !['_', '-', '"'].contains(&c))
+            // The value of an option is shown as it is typed.
+            && !before.ends_with("-unit ");
         let ends = after
             .chars()
             .next()

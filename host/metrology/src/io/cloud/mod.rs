@@ -122,7 +122,7 @@ pub enum CloudError {
     },
     /// No part has that size.
     #[error(
-        "the cloud spans {diagonal_mm} mm when read in {unit}, right would be {least_mm} to {most_mm} mm: it is probably in another unit; say so with --cloud-unit \"mm\", \"m\", \"um\" or \"inch\" (read in m a cloud may span 1 km)"
+        "the cloud spans {diagonal_mm} mm when read in {unit}, right would be {least_mm} to {most_mm} mm: it is probably in another unit; say so with --cloud-unit um, mm, m or inch (read in m a cloud may span 1 km)"
     )]
     Size {
         /// Diagonal of the bounding box.

@@ -159,7 +159,7 @@ fn if_too_large(read_in: &Unit) -> &'static str {
     match read_in {
         Unit::M | Unit::Inch => PROBABLY_MM,
         Unit::Mm => {
-            "the file is probably in micrometres; say so with --cad-unit \"um\" (tool file: unit = \"um\")"
+            "the file is probably in micrometres; say so with --cad-unit um (tool file: unit = \"um\")"
         }
         Unit::Um => "the file is damaged, or shows no die",
     }
