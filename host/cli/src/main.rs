@@ -14,6 +14,7 @@ mod calibrate_autofocus;
 mod calibrate_board;
 mod calibrate_focus;
 mod camera_process;
+mod clean;
 mod decode;
 mod deviation;
 mod doctor;
@@ -73,6 +74,7 @@ enum Command {
     Register(register::Args),
     Deviation(deviation::Args),
     Merge(merge::Args),
+    Clean(clean::Args),
     Wear(wear::Args),
     Gear(gear::Args),
     History(history::Args),
@@ -150,6 +152,7 @@ fn main() -> ExitCode {
         Command::Register(args) => register::run(&args),
         Command::Deviation(args) => deviation::run(&args),
         Command::Merge(args) => merge::run(&args),
+        Command::Clean(args) => clean::run(&args),
         Command::Wear(args) => wear::run(&args),
         Command::Gear(args) => gear::run(&args),
         Command::History(args) => history::run(&args),

@@ -16,8 +16,8 @@ use crate::inspect::{in_words, print_flanks};
 use crate::output::{Common, Outcome};
 use crate::terminal::Terminal;
 
-/// Property in which `flankscope decode` writes the standard uncertainty of a point, mm.
-const SIGMA: &str = "sigma_z";
+/// Properties in which `decode` and `scan --cloud` write the standard uncertainty of a point, mm.
+const SIGMAS: [&str; 2] = ["sigma_z", "sigma"];
 
 /// Judge the wear of a tool by a cloud of any scanner.
 #[derive(clap::Args)]
@@ -94,7 +94,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// Standard uncertainties of the points, where the file states them.
 fn sigma_mm(cloud: &Cloud, path: &std::path::Path) -> anyhow::Result<Option<Vec<f32>>> {
-    let Some(extra) = cloud.extras.iter().find(|extra| extra.name == SIGMA) else {
+    let Some(extra) = cloud
+        .extras
+        .iter()
+        .find(|extra| SIGMAS.contains(&extra.name.as_str()))
+    else {
         return Ok(None);
     };
     let sigma_mm: Vec<f32> = extra.values().map(|mm| mm as f32).collect();
@@ -104,7 +108,7 @@ fn sigma_mm(cloud: &Cloud, path: &std::path::Path) -> anyhow::Result<Option<Vec<
     {
         anyhow::bail!(
             "{} of point {at} in {} is {}; an uncertainty is above 0 mm",
-            SIGMA,
+            extra.name,
             path.display(),
             sigma_mm[at]
         );

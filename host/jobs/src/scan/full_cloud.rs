@@ -63,6 +63,7 @@ pub(super) fn write(
     match format {
         Format::Ply => write_ply(&views, count, session, out)?,
         Format::Npz => write_arrays(&views, count, session, out)?,
+        Format::Xyz => write_text(&views, session, out)?,
         Format::Stl => {
             let why = "points are no triangles: PLY or arrays hold them";
             return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, why).into());
@@ -100,6 +101,16 @@ fn write_ply(
             bytes.extend((of.view as u16).to_le_bytes());
         }
         out.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+fn write_text(views: &[View], session: &Session, out: &mut dyn Write) -> Result<(), CloudError> {
+    for of in views {
+        for (p_tool, sigma) in points_in_tool(session, of.view, of.tool_from_camera)? {
+            let [x, y, z] = p_tool.map(|c| c as f32);
+            writeln!(out, "{x} {y} {z} {sigma} {}", of.view)?;
+        }
     }
     Ok(())
 }

@@ -18,6 +18,8 @@ pub enum Format {
     Ply,
     /// Arrays for NumPy: `points_mm` (n, 3), one of (n) per column under its name, `triangles` (m, 3) if there are any.
     Npz,
+    /// Text: per line x y z, then one number per column.
+    Xyz,
     /// Binary STL, of triangles alone: no columns, single precision.
     Stl,
 }
@@ -31,15 +33,19 @@ pub struct FormatError {
 }
 
 impl Format {
-    /// Of a cloud: arrays where the name ends in `.npz`, PLY where in `.ply` or nothing.
+    /// Of a cloud: arrays where the name ends in `.npz`, text where in `.xyz`, PLY where in `.ply` or nothing.
     ///
     /// # Errors
     /// Another ending.
     pub fn of_cloud(path: &Path) -> Result<Self, FormatError> {
+        let is_text = path
+            .extension()
+            .is_some_and(|ending| ending.eq_ignore_ascii_case("xyz"));
         match Self::of_mesh(path) {
+            _ if is_text => Ok(Self::Xyz),
             Ok(Self::Stl) | Err(_) => Err(FormatError {
                 name: path.display().to_string(),
-                written: "points are written as PLY (name.ply) or as arrays for NumPy (name.npz)",
+                written: "points are written as PLY (name.ply), as text (name.xyz) or as arrays for NumPy (name.npz)",
             }),
             of_points => of_points,
         }
@@ -105,6 +111,7 @@ impl<'a> PointFile<'a> {
                 self.triangles,
             ),
             Format::Npz => self.write_arrays(out),
+            Format::Xyz => self.write_text(out),
             Format::Stl => write_stl(
                 out,
                 &TriMesh {
@@ -113,6 +120,34 @@ impl<'a> PointFile<'a> {
                 },
             ),
         }
+    }
+
+    /// Numbers with as many digits as they need to be read back the same.
+    fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut columns: Vec<Box<dyn Iterator<Item = f64> + '_>> = Vec::new();
+        for column in self.columns {
+            columns.push(match column {
+                Column::Carried(extra) => Box::new(extra.values()),
+                Column::Float(_, values) => Box::new(values.iter().copied()),
+                Column::Single(_, values) => Box::new(values.iter().map(|&v| f64::from(v))),
+                Column::Byte(_, values) => Box::new(values.iter().map(|&v| f64::from(v))),
+            });
+        }
+        for [x, y, z] in self.points {
+            match self.coordinate {
+                Scalar::F32 => write!(out, "{} {} {}", *x as f32, *y as f32, *z as f32)?,
+                _ => write!(out, "{x} {y} {z}")?,
+            }
+            for column in &mut columns {
+                let value = column.next().ok_or_else(|| {
+                    let why = "a column is shorter than the points";
+                    io::Error::new(io::ErrorKind::InvalidInput, why)
+                })?;
+                write!(out, " {value}")?;
+            }
+            writeln!(out)?;
+        }
+        Ok(())
     }
 
     fn write_arrays(&self, out: &mut dyn Write) -> io::Result<()> {

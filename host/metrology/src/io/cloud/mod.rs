@@ -270,6 +270,15 @@ impl Cloud {
 }
 
 impl Cloud {
+    /// The marked points alone, with their properties, in the same order.
+    #[must_use]
+    pub fn keep(mut self, kept: &[bool]) -> Self {
+        let points = self.points.iter().zip(kept).filter(|(_, kept)| **kept);
+        self.points = FinitePoints(points.map(|(point, _)| *point).collect());
+        self.extras.iter_mut().for_each(|extra| extra.keep(kept));
+        self
+    }
+
     /// Writes the cloud with the type of its coordinates, its own properties and further computed columns; a column
     /// replaces an own property of the same name.
     ///

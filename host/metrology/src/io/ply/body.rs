@@ -39,6 +39,13 @@ impl Extra {
         let each = self.bytes.chunks_exact(self.kind.size());
         each.map(|bytes| self.kind.decode(bytes, false))
     }
+
+    /// The values of some vertices alone.
+    pub(crate) fn keep(&mut self, kept: &[bool]) {
+        let each = self.bytes.chunks_exact(self.kind.size()).zip(kept);
+        let kept = each.filter(|(_, kept)| **kept);
+        self.bytes = kept.flat_map(|(bytes, _)| bytes).copied().collect();
+    }
 }
 
 /// The content of a PLY file.
