@@ -221,6 +221,7 @@ impl HeadModel {
     ///
     /// # Errors
     /// The first value beyond its limits.
+    #[rustfmt::skip]
     pub fn check(&self) -> Result<(), BadValue> {
         self.camera.check("camera")?;
         self.projector.check("projector")?;
@@ -255,40 +256,16 @@ impl HeadModel {
         if let Some(circle) = &self.projector_circle {
             circle.check("projector_circle")?;
         }
-        if let Some(contrast) = self.fringe_contrast
-            && !(contrast > 0.0 && contrast <= 1.0)
-        {
-            return Err(BadValue::new(
-                "fringe_contrast",
-                contrast,
-                "must be above 0 and at most 1",
-            ));
-        }
-        if let Some(distance) = self.working_distance_mm
-            && !(distance > 0.0 && distance.is_finite())
-        {
-            return Err(BadValue::new(
-                "working_distance_mm",
-                distance,
-                "must be positive",
-            ));
-        }
-        if !(1..=64).contains(&self.binning) {
-            return Err(BadValue::new(
-                "binning",
-                self.binning,
-                "must be 1 to 64 pixels",
-            ));
-        }
-        if self.exposures_us.windows(2).any(|pair| pair[0] >= pair[1])
-            || self.exposures_us.first() == Some(&0)
-        {
-            return Err(BadValue::new(
-                "exposures_us",
-                &self.exposures_us,
-                "must be positive and ascending",
-            ));
-        }
+        let contrast = self.fringe_contrast.unwrap_or(1.0);
+        let distance_mm = self.working_distance_mm.unwrap_or(1.0);
+        let exposures_us = &self.exposures_us;
+        let is_ascending = exposures_us.first() != Some(&0) && exposures_us.is_sorted_by(|a, b| a < b);
+        textfile::require(&[
+            (contrast > 0.0 && contrast <= 1.0, "fringe_contrast", &contrast, "must be above 0 and at most 1"),
+            (distance_mm > 0.0 && distance_mm.is_finite(), "working_distance_mm", &distance_mm, "must be positive"),
+            ((1..=64).contains(&self.binning), "binning", &self.binning, "must be 1 to 64 pixels"),
+            (is_ascending, "exposures_us", exposures_us, "must be positive and ascending"),
+        ])?;
         self.check_patterns()
     }
 }
