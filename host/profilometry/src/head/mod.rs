@@ -225,37 +225,17 @@ impl HeadModel {
     pub fn check(&self) -> Result<(), BadValue> {
         self.camera.check("camera")?;
         self.projector.check("projector")?;
-        if let Some(mirrors) = &self.mirrors {
-            mirrors.check(&self.projector)?;
-        }
+        self.mirrors.iter().try_for_each(|mirrors| mirrors.check(&self.projector))?;
         self.projector_from_camera.check("projector_from_camera")?;
-        if let Some(second) = &self.second_projector {
-            second.check()?;
-        }
-        if let Some(hand_eye) = &self.stage_from_camera {
-            hand_eye.check("stage_from_camera")?;
-        }
-        if let Some(sensor) = &self.sensor {
-            sensor.check()?;
-        }
-        if let Some(lens) = &self.lens {
-            lens.check()?;
-        }
-        if let Some(volume) = &self.volume {
-            volume.check()?;
-        }
-        if let Some(cores) = &self.cores {
-            cores.check()?;
-        }
-        if let Some(record) = &self.calibration {
-            record.check(self)?;
-        }
-        if let Some(circle) = &self.image_circle {
-            circle.check("image_circle")?;
-        }
-        if let Some(circle) = &self.projector_circle {
-            circle.check("projector_circle")?;
-        }
+        self.second_projector.iter().try_for_each(SecondProjector::check)?;
+        self.stage_from_camera.iter().try_for_each(|pose| pose.check("stage_from_camera"))?;
+        self.sensor.iter().try_for_each(Sensor::check)?;
+        self.lens.iter().try_for_each(LensDrive::check)?;
+        self.volume.iter().try_for_each(DepthRange::check)?;
+        self.cores.iter().try_for_each(CoreMapFile::check)?;
+        self.calibration.iter().try_for_each(|record| record.check(self))?;
+        self.image_circle.iter().try_for_each(|circle| circle.check("image_circle"))?;
+        self.projector_circle.iter().try_for_each(|circle| circle.check("projector_circle"))?;
         let contrast = self.fringe_contrast.unwrap_or(1.0);
         let distance_mm = self.working_distance_mm.unwrap_or(1.0);
         let exposures_us = &self.exposures_us;
