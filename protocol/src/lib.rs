@@ -69,7 +69,9 @@ pub use plan::{
     CapturePlan, Focus, FrameOrder, FramePlace, FrameSpec, FringeSet, Limits, PlanError, Projector,
     Timeouts, View,
 };
-pub use stage::{HomeAt, LinearAxis, RotaryAxis, StageConfig, StageError, StageValue};
+pub use stage::{
+    Axis, AxisPosition, HomeAt, LinearAxis, RotaryAxis, StageConfig, StageError, StageValue,
+};
 pub use stage_name::StageName;
 pub use units::{
     LensCounts, Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians,

@@ -638,40 +638,21 @@ impl CapturePlan {
     fn validate_waits(&self, limits: &Limits) -> Result<(), PlanError> {
         let zero = Microseconds(0);
         let focus_settle = self.focus.map_or(zero, |focus| focus.settle);
+        let timeouts = &self.timeouts;
+        let (wait, motion, quick) = (
+            limits.wait_max,
+            limits.motion_timeout_max,
+            limits.timeout_max,
+        );
         for (which, got, least, limit) in [
-            (Wait::Settle, self.settle, zero, limits.wait_max),
-            (Wait::DmdSettle, self.dmd_settle, zero, limits.wait_max),
-            (
-                Wait::CameraReadout,
-                self.camera_readout,
-                zero,
-                limits.wait_max,
-            ),
-            (
-                Wait::MotionTimeout,
-                self.timeouts.motion,
-                TIMEOUT_MIN,
-                limits.motion_timeout_max,
-            ),
-            (
-                Wait::LedTimeout,
-                self.timeouts.led,
-                TIMEOUT_MIN,
-                limits.timeout_max,
-            ),
-            (
-                Wait::DmdTimeout,
-                self.timeouts.dmd,
-                TIMEOUT_MIN,
-                limits.timeout_max,
-            ),
-            (
-                Wait::CameraTimeout,
-                self.timeouts.camera,
-                TIMEOUT_MIN,
-                limits.timeout_max,
-            ),
-            (Wait::FocusSettle, focus_settle, zero, limits.wait_max),
+            (Wait::Settle, self.settle, zero, wait),
+            (Wait::DmdSettle, self.dmd_settle, zero, wait),
+            (Wait::CameraReadout, self.camera_readout, zero, wait),
+            (Wait::MotionTimeout, timeouts.motion, TIMEOUT_MIN, motion),
+            (Wait::LedTimeout, timeouts.led, TIMEOUT_MIN, quick),
+            (Wait::DmdTimeout, timeouts.dmd, TIMEOUT_MIN, quick),
+            (Wait::CameraTimeout, timeouts.camera, TIMEOUT_MIN, quick),
+            (Wait::FocusSettle, focus_settle, zero, wait),
         ] {
             if got < least {
                 return Err(PlanError::WaitTooShort {

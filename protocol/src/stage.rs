@@ -29,50 +29,84 @@ pub enum HomeAt {
     LowerLimit,
 }
 
-/// The axis that turns die or head.
+/// Position on one kind of axis, which decides the units of its speeds.
+pub trait AxisPosition: Copy + Into<i32> {
+    /// Speed of a move.
+    type Speed: Copy + Into<u32>;
+    /// Acceleration of a move.
+    type Acceleration: Copy + Into<u32>;
+    /// Names of an axis' values: speed, acceleration, lower end, upper end, home, home search speed.
+    const VALUES: [StageValue; 6];
+    /// Units of [`Self::distance`] per unit of a speed's length.
+    const PER_SPEED: u64;
+    /// Length of a move by so many units of position, rounded up.
+    fn distance(units: u32) -> u64;
+}
+
+/// One axis of the stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RotaryAxis {
+pub struct Axis<P: AxisPosition> {
     /// Its number at the stage controller.
     pub number: u8,
     /// The model that the stage must answer as; `None`: nobody asks.
     pub model: Option<StageName>,
     /// Speed of a move.
-    pub speed: MillidegreesPerSecond,
+    pub speed: P::Speed,
     /// Acceleration and deceleration of a move.
-    pub acceleration: MillidegreesPerSecondSquared,
+    pub acceleration: P::Acceleration,
     /// Lower end of the travel.
-    pub from: Microradians,
+    pub from: P,
     /// Upper end of the travel.
-    pub to: Microradians,
-    /// What the place that is found by homing counts as.
-    pub home: Microradians,
+    pub to: P,
+    /// Position assigned to the place that homing finds; the head is clear of the die there.
+    pub home: P,
     /// Speed of the search.
-    pub home_speed: MillidegreesPerSecond,
+    pub home_speed: P::Speed,
     /// What is searched for.
     pub home_at: HomeAt,
 }
 
+/// The axis that turns die or head.
+pub type RotaryAxis = Axis<Microradians>;
 /// The axis that raises the head.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LinearAxis {
-    /// Its number at the stage controller.
-    pub number: u8,
-    /// The model that the stage must answer as; `None`: nobody asks.
-    pub model: Option<StageName>,
-    /// Speed of a move.
-    pub speed: MicrometresPerSecond,
-    /// Acceleration and deceleration of a move.
-    pub acceleration: MicrometresPerSecondSquared,
-    /// Lower end of the travel.
-    pub from: Micrometres,
-    /// Upper end of the travel.
-    pub to: Micrometres,
-    /// What the place that is found by homing counts as: the head is clear of the die there.
-    pub home: Micrometres,
-    /// Speed of the search.
-    pub home_speed: MicrometresPerSecond,
-    /// What is searched for.
-    pub home_at: HomeAt,
+pub type LinearAxis = Axis<Micrometres>;
+
+impl AxisPosition for Microradians {
+    type Speed = MillidegreesPerSecond;
+    type Acceleration = MillidegreesPerSecondSquared;
+    const VALUES: [StageValue; 6] = [
+        StageValue::RotationSpeed,
+        StageValue::RotationAcceleration,
+        StageValue::RotationFrom,
+        StageValue::RotationTo,
+        StageValue::RotationHome,
+        StageValue::RotationHomeSpeed,
+    ];
+    const PER_SPEED: u64 = 1_000;
+
+    /// Millionths of a degree. 180/pi: a micro-radian is 57.295780 of them.
+    fn distance(units: u32) -> u64 {
+        let scaled = u64::from(units).saturating_mul(57_295_780);
+        scaled.div_ceil(1_000_000)
+    }
+}
+
+impl AxisPosition for Micrometres {
+    type Speed = MicrometresPerSecond;
+    type Acceleration = MicrometresPerSecondSquared;
+    const VALUES: [StageValue; 6] = [
+        StageValue::VerticalSpeed,
+        StageValue::VerticalAcceleration,
+        StageValue::VerticalFrom,
+        StageValue::VerticalTo,
+        StageValue::VerticalHome,
+        StageValue::VerticalHomeSpeed,
+    ];
+    const PER_SPEED: u64 = 1;
+
+    fn distance(units: u32) -> u64 {
+        units.into()
+    }
 }
 
 /// The stages of a station.
@@ -257,80 +291,7 @@ impl StageConfig {
     /// # Errors
     /// The first value found beyond its limit, with that limit.
     pub fn validate(&self, limits: &Limits) -> Result<(), StageError> {
-        self.validate_line(limits)?;
         let (turn, lift) = (&self.rotation, &self.vertical);
-        for (what, number) in [
-            (StageValue::RotationNumber, turn.number),
-            (StageValue::VerticalNumber, lift.number),
-        ] {
-            within(what, number, 1u8, limits.stage_axes)?;
-        }
-        if turn.number == lift.number {
-            return Err(StageError::SameNumber { got: turn.number });
-        }
-        for (axis, model) in self.models() {
-            if let Some(got) = model
-                && !got.is_model()
-            {
-                return Err(StageError::Model { axis, got });
-            }
-        }
-        for (what, got, max) in [
-            (
-                StageValue::RotationSpeed,
-                turn.speed.get(),
-                limits.rotation_speed_max.get(),
-            ),
-            (
-                StageValue::RotationAcceleration,
-                turn.acceleration.get(),
-                limits.rotation_acceleration_max.get(),
-            ),
-            (
-                StageValue::RotationHomeSpeed,
-                turn.home_speed.get(),
-                limits.rotation_speed_max.get(),
-            ),
-            (
-                StageValue::VerticalSpeed,
-                lift.speed.get(),
-                limits.vertical_speed_max.get(),
-            ),
-            (
-                StageValue::VerticalAcceleration,
-                lift.acceleration.get(),
-                limits.vertical_acceleration_max.get(),
-            ),
-            (
-                StageValue::VerticalHomeSpeed,
-                lift.home_speed.get(),
-                limits.vertical_speed_max.get(),
-            ),
-        ] {
-            within(what, got, 1u32, max)?;
-        }
-        travel(
-            [turn.from.get(), turn.to.get(), turn.home.get()],
-            [limits.rotation_min.get(), limits.rotation_max.get()],
-            [
-                StageValue::RotationFrom,
-                StageValue::RotationTo,
-                StageValue::RotationHome,
-            ],
-        )?;
-        travel(
-            [lift.from.get(), lift.to.get(), lift.home.get()],
-            [limits.vertical_min.get(), limits.vertical_max.get()],
-            [
-                StageValue::VerticalFrom,
-                StageValue::VerticalTo,
-                StageValue::VerticalHome,
-            ],
-        )?;
-        self.validate_times(limits.motion_timeout_max)
-    }
-
-    fn validate_line(&self, limits: &Limits) -> Result<(), StageError> {
         let (got, min, max) = (self.line.baud, limits.stage_baud_min, limits.stage_baud_max);
         within(StageValue::Baud, got, min, max)?;
         let form = Line {
@@ -343,45 +304,25 @@ impl StageConfig {
         if form != self.line {
             return Err(StageError::LineForm { got: self.line });
         }
-        Ok(())
-    }
-
-    fn validate_times(&self, limit: Microseconds) -> Result<(), StageError> {
-        let (turn, lift) = (&self.rotation, &self.vertical);
-        for (what, value, got) in [
-            (
-                StageValue::RotationSpeed,
-                turn.speed.get(),
-                turn.longest_move(),
-            ),
-            (
-                StageValue::RotationHomeSpeed,
-                turn.home_speed.get(),
-                turn.longest_search(),
-            ),
-            (
-                StageValue::VerticalSpeed,
-                lift.speed.get(),
-                lift.longest_move(),
-            ),
-            (
-                StageValue::VerticalHomeSpeed,
-                lift.home_speed.get(),
-                lift.longest_search(),
-            ),
-        ] {
-            let got = with_margin(got);
-            if got > limit {
-                let value = i64::from(value);
-                return Err(StageError::TooSlow {
-                    what,
-                    value,
-                    got,
-                    limit,
-                });
+        let axes = limits.stage_axes;
+        within(StageValue::RotationNumber, turn.number, 1, axes)?;
+        within(StageValue::VerticalNumber, lift.number, 1, axes)?;
+        if turn.number == lift.number {
+            return Err(StageError::SameNumber { got: turn.number });
+        }
+        for (axis, model) in self.models() {
+            if let Some(got) = model
+                && !got.is_model()
+            {
+                return Err(StageError::Model { axis, got });
             }
         }
-        Ok(())
+        turn.validate_speeds(limits.rotation_speed_max, limits.rotation_acceleration_max)?;
+        lift.validate_speeds(limits.vertical_speed_max, limits.vertical_acceleration_max)?;
+        turn.validate_travel(limits.rotation_min, limits.rotation_max)?;
+        lift.validate_travel(limits.vertical_min, limits.vertical_max)?;
+        turn.validate_times(limits.motion_timeout_max)?;
+        lift.validate_times(limits.motion_timeout_max)
     }
 
     /// Number and model of each axis: rotation, vertical.
@@ -436,16 +377,14 @@ impl StageConfig {
     }
 }
 
-impl RotaryAxis {
+impl<P: AxisPosition> Axis<P> {
     /// Time of a move: trapezoidal, or triangular where full speed is not reached; rounded up.
     #[must_use]
-    pub fn travel_time(&self, from: Microradians, to: Microradians) -> Microseconds {
-        let distance_udeg = to_udeg(from.get().abs_diff(to.get()));
-        trapezoid(
-            distance_udeg,
-            per_1000(self.speed.get()),
-            per_1000(self.acceleration.get()),
-        )
+    pub fn travel_time(&self, from: P, to: P) -> Microseconds {
+        let [speed, acceleration] = [self.speed.into(), self.acceleration.into()]
+            .map(|counts| u64::from(counts).saturating_mul(P::PER_SPEED));
+        let distance = P::distance(from.into().abs_diff(to.into()));
+        trapezoid(distance, speed, acceleration)
     }
 
     fn longest_move(&self) -> Microseconds {
@@ -459,30 +398,54 @@ impl RotaryAxis {
         };
         search.longest_move()
     }
-}
 
-impl LinearAxis {
-    /// Time of a move: trapezoidal, or triangular where full speed is not reached; rounded up.
-    #[must_use]
-    pub fn travel_time(&self, from: Micrometres, to: Micrometres) -> Microseconds {
-        let distance_um = u64::from(from.get().abs_diff(to.get()));
-        trapezoid(
-            distance_um,
-            u64::from(self.speed.get()),
-            u64::from(self.acceleration.get()),
-        )
+    /// Speeds and acceleration above zero and within their limits.
+    fn validate_speeds(
+        &self,
+        speed_max: P::Speed,
+        acceleration_max: P::Acceleration,
+    ) -> Result<(), StageError> {
+        let [speed, acceleration, .., home_speed] = P::VALUES;
+        within(speed, self.speed.into(), 1, speed_max.into())?;
+        let (got, max) = (self.acceleration.into(), acceleration_max.into());
+        within(acceleration, got, 1, max)?;
+        within(home_speed, self.home_speed.into(), 1, speed_max.into())
     }
 
-    fn longest_move(&self) -> Microseconds {
-        self.travel_time(self.from, self.to)
+    /// Both ends in order and within the limits, zero and home between them: stage controllers count their travel from zero.
+    fn validate_travel(&self, min: P, max: P) -> Result<(), StageError> {
+        let [_, _, lower, upper, middle, _] = P::VALUES;
+        let [from, to, home] = [self.from, self.to, self.home].map(P::into);
+        if to <= from {
+            return Err(StageError::Inverted {
+                what: upper,
+                got: to.into(),
+                limit: from.into(),
+            });
+        }
+        within(lower, from, min.into(), 0)?;
+        within(upper, to, 0, max.into())?;
+        within(middle, home, from, to)
     }
 
-    fn longest_search(&self) -> Microseconds {
-        let search = Self {
-            speed: self.home_speed,
-            ..*self
-        };
-        search.longest_move()
+    /// Time of the whole travel, by a move and by a search, within the longest timeout.
+    fn validate_times(&self, limit: Microseconds) -> Result<(), StageError> {
+        let [speed, .., home_speed] = P::VALUES;
+        for (what, value, got) in [
+            (speed, self.speed, self.longest_move()),
+            (home_speed, self.home_speed, self.longest_search()),
+        ] {
+            let got = with_margin(got);
+            if got > limit {
+                return Err(StageError::TooSlow {
+                    what,
+                    value: value.into().into(),
+                    got,
+                    limit,
+                });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -513,24 +476,6 @@ fn within<N: Into<i64> + Copy>(what: StageValue, got: N, min: N, max: N) -> Resu
     Ok(())
 }
 
-/// Both ends in order and within the limits, zero and home between them: stage controllers count their travel from zero.
-fn travel(
-    [from, to, home]: [i32; 3],
-    [min, max]: [i32; 2],
-    [lower, upper, middle]: [StageValue; 3],
-) -> Result<(), StageError> {
-    if to <= from {
-        return Err(StageError::Inverted {
-            what: upper,
-            got: to.into(),
-            limit: from.into(),
-        });
-    }
-    within(lower, from, min, 0)?;
-    within(upper, to, 0, max)?;
-    within(middle, home, from, to)
-}
-
 /// Time of a move that begins and ends at rest: d/v + v/a, or 2 sqrt(d/a) where d is shorter than v²/a. Any unit of length,
 /// rounded up to 20 us.
 fn trapezoid(distance: u64, speed: u64, acceleration: u64) -> Microseconds {
@@ -556,17 +501,6 @@ fn ratio(of: u64, by: u64) -> u64 {
         0 => u64::MAX,
         by => of.div_ceil(by),
     }
-}
-
-fn per_1000(thousandths: u32) -> u64 {
-    u64::from(thousandths).saturating_mul(1_000)
-}
-
-/// 180/pi: a micro-radian is 57.295780 millionths of a degree.
-fn to_udeg(urad: u32) -> u64 {
-    u64::from(urad)
-        .saturating_mul(57_295_780)
-        .div_ceil(1_000_000)
 }
 
 fn with_margin(time: Microseconds) -> Microseconds {

@@ -17,6 +17,12 @@ macro_rules! quantity {
             }
         }
 
+        impl From<$name> for $inner {
+            fn from(quantity: $name) -> Self {
+                quantity.0
+            }
+        }
+
         impl core::fmt::Display for $name {
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 write!(f, concat!("{} ", $symbol), self.0)

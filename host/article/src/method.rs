@@ -145,89 +145,28 @@ radial_threshold_mm = 50.0      # mm, only points nearer to the axis belong to t
         Ok(settings)
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        let ArticleOptions {
-            samples,
-            region,
-            inlier_ratio,
-            most_iterations,
-            translation_mm,
-            rotation_deg,
-            ..
-        } = self.registration;
+        let options = &self.registration;
+        let region = options.region;
         let denoise = self.denoise.unwrap_or(Denoise::TOOLBOX);
         let serial = self.serial_inlier_ratio.unwrap_or(1.0);
         let pi = std::f64::consts::PI;
         for (key, value, [least, most], unit) in [
             ("mask_dn", self.mask_dn, [0.0, 65_535.0], "counts"),
             ("share", self.share, [1e-4, 1.0], "of the points"),
-            (
-                "merged_per_mm2",
-                self.merged_per_mm2,
-                [0.1, 2000.0],
-                "points per mm2",
-            ),
+            ("merged_per_mm2", self.merged_per_mm2, [0.1, 2000.0], "points per mm2"),
             ("serial_inlier_ratio", serial, [0.01, 1.0], "of the pairs"),
-            (
-                "denoise.neighbours",
-                denoise.neighbours as f64,
-                [1.0, 100.0],
-                "neighbours",
-            ),
-            (
-                "denoise.std_ratio",
-                denoise.std_ratio,
-                [0.0, 100.0],
-                "standard deviations",
-            ),
-            (
-                "registration.samples",
-                samples as f64,
-                [100.0, 1e7],
-                "points",
-            ),
-            (
-                "registration.inlier_ratio",
-                inlier_ratio,
-                [0.01, 1.0],
-                "of the pairs",
-            ),
-            (
-                "registration.most_iterations",
-                most_iterations as f64,
-                [1.0, 1000.0],
-                "steps",
-            ),
-            (
-                "registration.translation_mm",
-                translation_mm,
-                [0.0, 1.0],
-                "mm",
-            ),
-            (
-                "registration.rotation_deg",
-                rotation_deg,
-                [0.0, 1.0],
-                "degrees",
-            ),
-            (
-                "registration.region.half_height_mm",
-                region.half_height_mm,
-                [0.1, 1000.0],
-                "mm",
-            ),
-            (
-                "registration.region.half_angle_rad",
-                region.half_angle_rad,
-                [0.001, pi],
-                "rad",
-            ),
-            (
-                "registration.region.radial_threshold_mm",
-                region.radial_threshold_mm,
-                [0.1, 1e4],
-                "mm",
-            ),
+            ("denoise.neighbours", denoise.neighbours as f64, [1.0, 100.0], "neighbours"),
+            ("denoise.std_ratio", denoise.std_ratio, [0.0, 100.0], "standard deviations"),
+            ("registration.samples", options.samples as f64, [100.0, 1e7], "points"),
+            ("registration.inlier_ratio", options.inlier_ratio, [0.01, 1.0], "of the pairs"),
+            ("registration.most_iterations", options.most_iterations as f64, [1.0, 1000.0], "steps"),
+            ("registration.translation_mm", options.translation_mm, [0.0, 1.0], "mm"),
+            ("registration.rotation_deg", options.rotation_deg, [0.0, 1.0], "degrees"),
+            ("registration.region.half_height_mm", region.half_height_mm, [0.1, 1000.0], "mm"),
+            ("registration.region.half_angle_rad", region.half_angle_rad, [0.001, pi], "rad"),
+            ("registration.region.radial_threshold_mm", region.radial_threshold_mm, [0.1, 1e4], "mm"),
         ] {
             // A NaN is in no range.
             if !(least..=most).contains(&value) {

@@ -99,6 +99,20 @@ impl BadValue {
     }
 }
 
+/// Condition on a value of a file: whether it holds, key, value, and what would be right.
+pub type Requirement<'a> = (bool, &'a str, &'a dyn std::fmt::Debug, &'static str);
+
+/// Complains about the first value of a table whose condition does not hold.
+///
+/// # Errors
+/// [`BadValue`] of that row.
+pub fn require(table: &[Requirement<'_>]) -> Result<(), BadValue> {
+    match table.iter().find(|(holds, ..)| !holds) {
+        Some(&(_, key, got, expected)) => Err(BadValue::new(key, got, expected)),
+        None => Ok(()),
+    }
+}
+
 /// Reads a text file of at most [`MAX_BYTES`].
 ///
 /// # Errors

@@ -196,36 +196,18 @@ pub enum PatternError {
 
 impl PatternError {
     /// The value of a file that is wrong; `key` says what a frequency's own are called there.
+    #[rustfmt::skip]
     pub(crate) fn bad_value(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
+        let near = "must be within a projector's width of column 0";
         match *self {
-            Self::Steps { set, got } => BadValue::new(
-                key(set, "steps"),
-                got,
-                "must be 3 to 64 (offset, amplitude and phase are three unknowns)",
-            ),
-            Self::Periods { set, got } => {
-                BadValue::new(key(set, "periods"), got, "must be above 0 and at most 4096")
-            }
-            Self::Order { set, got, .. } => {
-                BadValue::new(key(set, "periods"), got, "must be more than those before")
-            }
-            Self::FrequencyCount { got } => {
-                BadValue::new("fringes", got, "must be 1 to 12 frequencies")
-            }
-            Self::Origin { set, got } => BadValue::new(
-                key(set, "phase_origin_px"),
-                got,
-                "must be within a projector's width of column 0",
-            ),
+            Self::Steps { set, got } => BadValue::new(key(set, "steps"), got, "must be 3 to 64 (offset, amplitude and phase are three unknowns)"),
+            Self::Periods { set, got } => BadValue::new(key(set, "periods"), got, "must be above 0 and at most 4096"),
+            Self::Order { set, got, .. } => BadValue::new(key(set, "periods"), got, "must be more than those before"),
+            Self::FrequencyCount { got } => BadValue::new("fringes", got, "must be 1 to 12 frequencies"),
+            Self::Origin { set, got } => BadValue::new(key(set, "phase_origin_px"), got, near),
             Self::CodeBits { got } => BadValue::new("gray_code.bits", got, "must be 1 to 16"),
-            Self::CodeStripes { got } => {
-                BadValue::new("gray_code.stripes", got, "must be above 0 and at most 4096")
-            }
-            Self::CodeOrigin { got } => BadValue::new(
-                "gray_code.phase_origin_px",
-                got,
-                "must be within a projector's width of column 0",
-            ),
+            Self::CodeStripes { got } => BadValue::new("gray_code.stripes", got, "must be above 0 and at most 4096"),
+            Self::CodeOrigin { got } => BadValue::new("gray_code.phase_origin_px", got, near),
             Self::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
         }
     }

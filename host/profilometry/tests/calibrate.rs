@@ -46,36 +46,19 @@ fn truth() -> HeadModel {
     let rotation = turn(1, -30f64.to_radians());
     let focus = [0.0, 0.0, 22.0];
     let turned: [f64; 3] = rotation.map(|row| row[2] * 22.0);
+    let of_camera = [-0.08, 0.05, 4e-4, -3e-4, 0.0];
+    let of_projector = [0.06, -0.04, -3e-4, 4e-4, 0.0];
+    let camera = lens(1920, 1200, 2530.0, [952.0, 604.0], of_camera);
+    let projector = lens(1024, 768, 2253.0, [514.0, 383.5], of_projector);
+    let projector_from_camera = RigidTransform {
+        rotation,
+        translation_mm: std::array::from_fn(|k| focus[k] - turned[k]),
+    };
     HeadModel {
-        name: "truth".into(),
-        working_distance_mm: None,
-        pattern_set: None,
-        fringes: Vec::new(),
-        exposures_us: vec![],
-        binning: 1,
-        camera: lens(
-            1920,
-            1200,
-            2530.0,
-            [952.0, 604.0],
-            [-0.08, 0.05, 4e-4, -3e-4, 0.0],
-        ),
-        projector: lens(
-            1024,
-            768,
-            2253.0,
-            [514.0, 383.5],
-            [0.06, -0.04, -3e-4, 4e-4, 0.0],
-        ),
-        projector_from_camera: RigidTransform {
-            rotation,
-            translation_mm: std::array::from_fn(|k| focus[k] - turned[k]),
-        },
         stage_from_camera: Some(RigidTransform {
             rotation: [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]],
             translation_mm: [19.5, 0.1, -0.2],
         }),
-        sensor: None,
         volume: Some(DepthRange {
             near_mm: 20.3,
             far_mm: 23.7,
@@ -84,16 +67,7 @@ fn truth() -> HeadModel {
             centre_px: [959.5, 599.5],
             radius_px: 575.0,
         }),
-        second_projector: None,
-        cores: None,
-        calibration: None,
-        self_test: None,
-        seal: None,
-        core_map: None,
-        mirrors: None,
-        projector_circle: None,
-        fringe_contrast: None,
-        lens: None,
+        ..HeadModel::from_lenses("truth", camera, projector, projector_from_camera)
     }
 }
 

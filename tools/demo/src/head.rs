@@ -33,8 +33,10 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
     let optics = made.optics();
     let sensor = &made.sensor;
     let [near_mm, far_mm] = made.driven_volume_mm();
+    let camera = pinhole_file(&optics.camera, optics.camera_size_px);
+    let projector = pinhole_file(&optics.projector, optics.projector_size_px);
+    let projector_from_camera = transform_file(&optics.projector_from_camera);
     HeadModel {
-        name: made.name.clone(),
         working_distance_mm: Some(
             made.working_distance_mm + made.best_focus_mm() - made.stand_off_mm,
         ),
@@ -49,10 +51,7 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
             .collect(),
         exposures_us: made.exposures_us.clone(),
         binning: made.binning,
-        camera: pinhole_file(&optics.camera, optics.camera_size_px),
-        projector: pinhole_file(&optics.projector, optics.projector_size_px),
         projector_circle: Some(projector_circle(made)),
-        projector_from_camera: transform_file(&optics.projector_from_camera),
         second_projector: optics
             .second_projector
             .as_ref()
@@ -75,14 +74,8 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
             centre_px: made.bundle(&made.camera).centre_px,
             radius_px: 0.5 * made.camera.circle_px,
         }),
-        cores: None,
-        calibration: None,
-        self_test: None,
-        seal: None,
-        core_map: None,
-        mirrors: None,
-        fringe_contrast: None,
         lens: made.lens.as_ref().map(|lens| lens_file(lens, made)),
+        ..HeadModel::from_lenses(&made.name, camera, projector, projector_from_camera)
     }
 }
 

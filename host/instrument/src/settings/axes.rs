@@ -2,7 +2,7 @@
 
 use flankscope_foundation::textfile::BadValue;
 use flankscope_protocol::{
-    FlowControl, HomeAt, Limits, Line, LinearAxis, Micrometres, MicrometresPerSecond,
+    AxisPosition, FlowControl, HomeAt, Limits, Line, LinearAxis, Micrometres, MicrometresPerSecond,
     MicrometresPerSecondSquared, Microradians, MillidegreesPerSecond, MillidegreesPerSecondSquared,
     Parity, RotaryAxis, StageConfig, StageError, StageName, StageValue,
 };
@@ -224,23 +224,10 @@ pub(super) fn config(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Stag
 /// Checks all limits of the controller, with errors that name the keys of the file.
 pub(super) fn check(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Result<(), BadValue> {
     let said = |what| said(what, line, turn, lift);
-    for what in [
-        StageValue::RotationSpeed,
-        StageValue::RotationAcceleration,
-        StageValue::RotationFrom,
-        StageValue::RotationTo,
-        StageValue::RotationHome,
-        StageValue::RotationHomeSpeed,
-        StageValue::VerticalSpeed,
-        StageValue::VerticalAcceleration,
-        StageValue::VerticalFrom,
-        StageValue::VerticalTo,
-        StageValue::VerticalHome,
-        StageValue::VerticalHomeSpeed,
-    ] {
+    for what in [Microradians::VALUES, Micrometres::VALUES].as_flattened() {
         let Said {
             key, value, unit, ..
-        } = said(what);
+        } = said(*what);
         if !value.is_finite() {
             return Err(BadValue::new(
                 key,
@@ -326,86 +313,27 @@ impl Said {
     }
 }
 
+#[rustfmt::skip]
 fn said(what: StageValue, line: &StageLine, turn: &Rotation, lift: &Vertical) -> Said {
     let urad_per_deg = 1e6 * std::f64::consts::PI / 180.0;
     let (key, value, unit, scale) = match what {
         StageValue::Baud => ("stages.line.baud", f64::from(line.baud), "baud", 1.0),
         StageValue::RotationNumber => ("stages.rotation.axis", f64::from(turn.axis), "", 1.0),
-        StageValue::RotationSpeed => (
-            "stages.rotation.speed_deg_s",
-            turn.speed_deg_s,
-            "deg/s",
-            1e3,
-        ),
-        StageValue::RotationAcceleration => (
-            "stages.rotation.acceleration_deg_s2",
-            turn.acceleration_deg_s2,
-            "deg/s2",
-            1e3,
-        ),
-        StageValue::RotationFrom => (
-            "stages.rotation.travel_deg",
-            turn.travel_deg[0],
-            "deg at the lower end",
-            urad_per_deg,
-        ),
-        StageValue::RotationTo => (
-            "stages.rotation.travel_deg",
-            turn.travel_deg[1],
-            "deg at the upper end",
-            urad_per_deg,
-        ),
-        StageValue::RotationHome => (
-            "stages.rotation.home_deg",
-            turn.home_deg,
-            "deg, within the travel",
-            urad_per_deg,
-        ),
-        StageValue::RotationHomeSpeed => (
-            "stages.rotation.home_speed_deg_s",
-            turn.home_speed_deg_s,
-            "deg/s",
-            1e3,
-        ),
+        StageValue::RotationSpeed => ("stages.rotation.speed_deg_s", turn.speed_deg_s, "deg/s", 1e3),
+        StageValue::RotationAcceleration => ("stages.rotation.acceleration_deg_s2", turn.acceleration_deg_s2, "deg/s2", 1e3),
+        StageValue::RotationFrom => ("stages.rotation.travel_deg", turn.travel_deg[0], "deg at the lower end", urad_per_deg),
+        StageValue::RotationTo => ("stages.rotation.travel_deg", turn.travel_deg[1], "deg at the upper end", urad_per_deg),
+        StageValue::RotationHome => ("stages.rotation.home_deg", turn.home_deg, "deg, within the travel", urad_per_deg),
+        StageValue::RotationHomeSpeed => ("stages.rotation.home_speed_deg_s", turn.home_speed_deg_s, "deg/s", 1e3),
         StageValue::VerticalNumber => ("stages.vertical.axis", f64::from(lift.axis), "", 1.0),
         StageValue::VerticalSpeed => ("stages.vertical.speed_mm_s", lift.speed_mm_s, "mm/s", 1e3),
-        StageValue::VerticalAcceleration => (
-            "stages.vertical.acceleration_mm_s2",
-            lift.acceleration_mm_s2,
-            "mm/s2",
-            1e3,
-        ),
-        StageValue::VerticalFrom => (
-            "stages.vertical.travel_mm",
-            lift.travel_mm[0],
-            "mm at the lower end",
-            1e3,
-        ),
-        StageValue::VerticalTo => (
-            "stages.vertical.travel_mm",
-            lift.travel_mm[1],
-            "mm at the upper end",
-            1e3,
-        ),
-        StageValue::VerticalHome => (
-            "stages.vertical.home_mm",
-            lift.home_mm,
-            "mm, within the travel",
-            1e3,
-        ),
-        StageValue::VerticalHomeSpeed => (
-            "stages.vertical.home_speed_mm_s",
-            lift.home_speed_mm_s,
-            "mm/s",
-            1e3,
-        ),
+        StageValue::VerticalAcceleration => ("stages.vertical.acceleration_mm_s2", lift.acceleration_mm_s2, "mm/s2", 1e3),
+        StageValue::VerticalFrom => ("stages.vertical.travel_mm", lift.travel_mm[0], "mm at the lower end", 1e3),
+        StageValue::VerticalTo => ("stages.vertical.travel_mm", lift.travel_mm[1], "mm at the upper end", 1e3),
+        StageValue::VerticalHome => ("stages.vertical.home_mm", lift.home_mm, "mm, within the travel", 1e3),
+        StageValue::VerticalHomeSpeed => ("stages.vertical.home_speed_mm_s", lift.home_speed_mm_s, "mm/s", 1e3),
     };
-    Said {
-        key,
-        value,
-        unit,
-        scale,
-    }
+    Said { key, value, unit, scale }
 }
 
 #[cfg(test)]

@@ -13,7 +13,6 @@
 
 mod axes;
 
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
@@ -276,122 +275,40 @@ impl StationSettings {
         Ok(settings)
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        if self
-            .name
-            .as_ref()
-            .is_some_and(|name| name.trim().is_empty())
-        {
-            return Err(BadValue::new("name", "", "a name, or no such line"));
-        }
-        if self.camera.command.first().is_some_and(String::is_empty) {
-            let right = "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]";
-            return Err(BadValue::new("camera.command", &self.camera.command, right));
-        }
-        self.press.check()?;
-        self.light.check()?;
-        self.timing.check()?;
-        let room = "more than 0 and at most 1000000 GB";
-        up_to(
-            "history.keep_phasors_gb",
-            self.history.keep_phasors_gb,
-            1e6,
-            room,
-        )?;
-        self.stages.check()
-    }
-}
-
-/// Checks that a value is greater than 0 and at most `most`; NaN is refused.
-fn up_to(key: &str, value: f64, most: f64, expected: &'static str) -> Result<(), BadValue> {
-    if value > 0.0 && value <= most {
-        Ok(())
-    } else {
-        Err(BadValue::new(key, value, expected))
-    }
-}
-
-fn within(
-    key: &str,
-    value: impl Into<u64>,
-    range: RangeInclusive<u64>,
-    expected: &'static str,
-) -> Result<(), BadValue> {
-    let value = value.into();
-    if range.contains(&value) {
-        Ok(())
-    } else {
-        Err(BadValue::new(key, value, expected))
-    }
-}
-
-impl Press {
-    fn check(&self) -> Result<(), BadValue> {
-        let seconds = "more than 0 and at most 600 seconds";
-        up_to("press.hold_limit_s", self.hold_limit_s, 600.0, seconds)?;
-        let patience_s = self.opening_patience_s;
-        up_to("press.opening_patience_s", patience_s, 600.0, seconds)?;
-        within("press.openings", self.openings, 1..=100, "1 to 100")
-    }
-}
-
-impl Light {
-    fn check(&self) -> Result<(), BadValue> {
-        let current = "1 to 65535 mA; the controller has its own limit below";
-        within("light.led_ma", self.led_ma, 1..=65_535, current)
-    }
-}
-
-impl Timing {
-    fn check(&self) -> Result<(), BadValue> {
-        let (ms, us) = ("0 to 60000 ms", "0 to 1000000 us");
-        within("timing.settle_ms", self.settle_ms, 0..=60_000, ms)?;
-        let load = "0 to 900 ms";
-        within(
-            "timing.pattern_load_ms",
-            self.pattern_load_ms,
-            0..=900,
-            load,
-        )?;
-        for (key, value_us) in [
-            ("timing.pattern_settle_us", self.pattern_settle_us),
-            ("timing.camera_readout_us", self.camera_readout_us),
-        ] {
-            within(key, value_us, 0..=1_000_000, us)?;
-        }
-        Ok(())
-    }
-}
-
-impl Stages {
-    fn check(&self) -> Result<(), BadValue> {
-        let mdeg = "more than 0 and at most 1000 millidegrees";
-        let rotation_mdeg = self.rotation_error_mdeg;
-        up_to("stages.rotation_error_mdeg", rotation_mdeg, 1e3, mdeg)?;
-        let um = "more than 0 and at most 1000 um";
-        up_to("stages.vertical_error_um", self.vertical_error_um, 1e3, um)?;
-        up_to("stages.mount_um", self.mount_um, 1e3, um)?;
-        up_to("stages.runout_um", self.runout_um, 1e3, um)?;
-        let mrad = "more than 0 and at most 100 mrad";
-        up_to("stages.mount_mrad", self.mount_mrad, 100.0, mrad)?;
-        let urad = "more than 0 and at most 10000 urad";
-        up_to("stages.wobble_urad", self.wobble_urad, 1e4, urad)?;
-        let mm = "more than 0 and at most 1000 mm";
-        up_to("stages.clearance_mm", self.clearance_mm, 1e3, mm)?;
-        let poses = &self.poses;
-        let seconds = "more than 0 and at most 600 seconds";
-        up_to("stages.poses.limit_s", poses.limit_s, 600.0, seconds)?;
-        if poses.file.is_some() && !poses.command.is_empty()
-            || poses.command.first().is_some_and(String::is_empty)
-        {
-            let right = "a file, or the program and its arguments; one of both";
-            return Err(BadValue::new("stages.poses.command", &poses.command, right));
-        }
-        if self.moves == Moves::Outside && !poses.is_some() {
-            let right = "[stages.poses] beside it, with the file or command that says where the head stands";
-            return Err(BadValue::new("stages.moves", "outside", right));
-        }
-        axes::check(&self.line, &self.rotation, &self.vertical)
+        let Self { press, light, timing, stages, .. } = self;
+        let poses = &stages.poses;
+        let has_name = self.name.as_ref().is_none_or(|name| !name.trim().is_empty());
+        let has_program = |command: &[String]| !command.first().is_some_and(String::is_empty);
+        let one_source = (poses.file.is_none() || poses.command.is_empty()) && has_program(&poses.command);
+        let moves_stage = stages.moves != Moves::Outside || poses.is_some();
+        // False for a NaN.
+        let up_to = |value: f64, most: f64| value > 0.0 && value <= most;
+        textfile::require(&[
+            (has_name, "name", &"", "a name, or no such line"),
+            (has_program(&self.camera.command), "camera.command", &self.camera.command, "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]"),
+            (up_to(press.hold_limit_s, 600.0), "press.hold_limit_s", &press.hold_limit_s, "more than 0 and at most 600 seconds"),
+            (up_to(press.opening_patience_s, 600.0), "press.opening_patience_s", &press.opening_patience_s, "more than 0 and at most 600 seconds"),
+            ((1..=100).contains(&press.openings), "press.openings", &press.openings, "1 to 100"),
+            (light.led_ma > 0, "light.led_ma", &light.led_ma, "1 to 65535 mA; the controller has its own limit below"),
+            (timing.settle_ms <= 60_000, "timing.settle_ms", &timing.settle_ms, "0 to 60000 ms"),
+            (timing.pattern_load_ms <= 900, "timing.pattern_load_ms", &timing.pattern_load_ms, "0 to 900 ms"),
+            (timing.pattern_settle_us <= 1_000_000, "timing.pattern_settle_us", &timing.pattern_settle_us, "0 to 1000000 us"),
+            (timing.camera_readout_us <= 1_000_000, "timing.camera_readout_us", &timing.camera_readout_us, "0 to 1000000 us"),
+            (up_to(self.history.keep_phasors_gb, 1e6), "history.keep_phasors_gb", &self.history.keep_phasors_gb, "more than 0 and at most 1000000 GB"),
+            (up_to(stages.rotation_error_mdeg, 1e3), "stages.rotation_error_mdeg", &stages.rotation_error_mdeg, "more than 0 and at most 1000 millidegrees"),
+            (up_to(stages.vertical_error_um, 1e3), "stages.vertical_error_um", &stages.vertical_error_um, "more than 0 and at most 1000 um"),
+            (up_to(stages.mount_um, 1e3), "stages.mount_um", &stages.mount_um, "more than 0 and at most 1000 um"),
+            (up_to(stages.runout_um, 1e3), "stages.runout_um", &stages.runout_um, "more than 0 and at most 1000 um"),
+            (up_to(stages.mount_mrad, 100.0), "stages.mount_mrad", &stages.mount_mrad, "more than 0 and at most 100 mrad"),
+            (up_to(stages.wobble_urad, 1e4), "stages.wobble_urad", &stages.wobble_urad, "more than 0 and at most 10000 urad"),
+            (up_to(stages.clearance_mm, 1e3), "stages.clearance_mm", &stages.clearance_mm, "more than 0 and at most 1000 mm"),
+            (up_to(poses.limit_s, 600.0), "stages.poses.limit_s", &poses.limit_s, "more than 0 and at most 600 seconds"),
+            (one_source, "stages.poses.command", &poses.command, "a file, or the program and its arguments; one of both"),
+            (moves_stage, "stages.moves", &"outside", "[stages.poses] beside it, with the file or command that says where the head stands"),
+        ])?;
+        axes::check(&stages.line, &stages.rotation, &stages.vertical)
     }
 }
 

@@ -79,62 +79,29 @@ pub(super) fn values(path: &Path, file: &File) -> Result<(), ToolError> {
     Ok(())
 }
 
+#[rustfmt::skip]
 fn of_temperature(is: &Refusal<'_>, temperature: &Temperature) -> Result<(), ToolError> {
     let [low, high] = temperature.range_degc;
     if !(-50.0..=high).contains(&low) || high > 1000.0 {
-        let expected = "increasing, from -50 to 1000";
-        return is.refuse("temperature.range_degc[0]", low, expected);
+        return is.refuse("temperature.range_degc[0]", low, "increasing, from -50 to 1000");
     }
-    for (key, value, range) in [
-        (
-            "temperature.reference_degc",
-            temperature.reference_degc,
-            [-50.0, 1000.0],
-        ),
-        (
-            "temperature.expansion_per_k",
-            temperature.expansion_per_k,
-            [0.0, 1e-3],
-        ),
-        ("temperature.u_k", temperature.u_k, [0.0, 100.0]),
-    ] {
-        is.within(key, value, range)?;
-    }
-    Ok(())
+    is.within("temperature.reference_degc", temperature.reference_degc, [-50.0, 1000.0])?;
+    is.within("temperature.expansion_per_k", temperature.expansion_per_k, [0.0, 1e-3])?;
+    is.within("temperature.u_k", temperature.u_k, [0.0, 100.0])
 }
 
 /// Values that say by themselves whether they are possible.
+#[rustfmt::skip]
 fn alone(is: &Refusal<'_>, inspect: &Inspect) -> Result<(), ToolError> {
-    let um = [0.0, 1000.0];
     for (key, value, range) in [
-        ("inspect.drift_um", inspect.drift_um, um),
-        ("inspect.film_um", inspect.film_um, um),
-        (
-            "inspect.as_built_um",
-            inspect.as_built_um.unwrap_or(0.0),
-            um,
-        ),
-        (
-            "inspect.calibration_um",
-            inspect.calibration_um.unwrap_or(0.0),
-            um,
-        ),
-        (
-            "inspect.least_coverage",
-            inspect.least_coverage,
-            [LEAST_COVERAGE, 1.0],
-        ),
+        ("inspect.drift_um", inspect.drift_um, [0.0, 1000.0]),
+        ("inspect.film_um", inspect.film_um, [0.0, 1000.0]),
+        ("inspect.as_built_um", inspect.as_built_um.unwrap_or(0.0), [0.0, 1000.0]),
+        ("inspect.calibration_um", inspect.calibration_um.unwrap_or(0.0), [0.0, 1000.0]),
+        ("inspect.least_coverage", inspect.least_coverage, [LEAST_COVERAGE, 1.0]),
         // A disc below a hundredth of a square millimetre holds only a few cores.
-        (
-            "inspect.wear_area_mm2",
-            inspect.wear_area_mm2,
-            [0.01, 100.0],
-        ),
-        (
-            "inspect.remeasure",
-            f64::from(inspect.remeasure),
-            [0.0, f64::from(MOST_REPEATS)],
-        ),
+        ("inspect.wear_area_mm2", inspect.wear_area_mm2, [0.01, 100.0]),
+        ("inspect.remeasure", f64::from(inspect.remeasure), [0.0, f64::from(MOST_REPEATS)]),
     ] {
         is.within(key, value, range)?;
     }
@@ -143,8 +110,7 @@ fn alone(is: &Refusal<'_>, inspect: &Inspect) -> Result<(), ToolError> {
     }
     let [down, up] = inspect.zone_height_mm;
     if !(-1000.0..up).contains(&down) || up > 1000.0 {
-        let expected = "below zone_height_mm[1], both relative to height_mm";
-        return is.refuse("inspect.zone_height_mm[0]", down, expected);
+        return is.refuse("inspect.zone_height_mm[0]", down, "below zone_height_mm[1], both relative to height_mm");
     }
     Ok(())
 }
@@ -153,23 +119,13 @@ fn alone(is: &Refusal<'_>, inspect: &Inspect) -> Result<(), ToolError> {
 fn limits(is: &Refusal<'_>, inspect: &Inspect, gear: Option<&GearData>) -> Result<(), ToolError> {
     // Half the thickness of a tooth at the pitch circle, which is half the gap beside it, too; without a gear, a centimetre.
     let half_mm = gear.map_or(10.0, |gear| 0.25 * std::f64::consts::PI * gear.module_mm);
+    let wear_um = [inspect.warn_um, inspect.limit_um];
+    #[rustfmt::skip]
     let mut pairs = vec![
-        (
-            ["inspect.warn_um", "inspect.limit_um"],
-            [inspect.warn_um, inspect.limit_um],
-            1e3 * half_mm,
-        ),
-        (
-            ["inspect.proud_warn_um", "inspect.proud_limit_um"],
-            inspect.proud_um(),
-            1e3 * half_mm,
-        ),
+        (["inspect.warn_um", "inspect.limit_um"], wear_um, 1e3 * half_mm),
+        (["inspect.proud_warn_um", "inspect.proud_limit_um"], inspect.proud_um(), 1e3 * half_mm),
         // A single cell may lose more than a whole disc: up to all of the tooth.
-        (
-            ["inspect.cell_warn_um", "inspect.cell_limit_um"],
-            inspect.cell_um(),
-            2e3 * half_mm,
-        ),
+        (["inspect.cell_warn_um", "inspect.cell_limit_um"], inspect.cell_um(), 2e3 * half_mm),
     ];
     if let Some(gear) = gear {
         let keys = ["inspect.tip_warn_mm", "inspect.tip_limit_mm"];
@@ -372,21 +328,11 @@ fn lands(
     let centre = gear.tooth_centre_rad(tooth);
     let pitch_mm = gear.pitch_radius_mm();
     let [low, high] = gear.height_mm;
+    let (tip_mm, root_mm) = (gear.tip_radius_mm, gear.root_radius_mm);
+    let gap = centre + 0.5 * gear.pitch_rad();
     for (key, stated_mm, radius_mm, angle, z) in [
-        (
-            "tip_radius_mm",
-            gear.tip_radius_mm,
-            gear.tip_radius_mm,
-            centre,
-            height_mm,
-        ),
-        (
-            "root_radius_mm",
-            gear.root_radius_mm,
-            gear.root_radius_mm,
-            centre + 0.5 * gear.pitch_rad(),
-            height_mm,
-        ),
+        ("tip_radius_mm", tip_mm, tip_mm, centre, height_mm),
+        ("root_radius_mm", root_mm, root_mm, gap, height_mm),
         ("height_mm[0]", low, pitch_mm, centre, low),
         ("height_mm[1]", high, pitch_mm, centre, high),
     ] {

@@ -5,7 +5,7 @@
 use nalgebra::DMatrix;
 
 use super::CalibrateError;
-use super::bundle::{Bundle, FIRST_SIGMA_PX, Reweighting, mean_squares_px2, settle};
+use super::bundle::{Bundle, FIRST_SIGMA_PX, Reweighting, beyond, mean_squares_px2, settle};
 use super::model::{
     CAMERA_FOCAL, CAMERA_PRINCIPAL, COORDINATES, PROJECTOR_FOCAL, PlateModel, Scene, Setting,
 };
@@ -115,19 +115,15 @@ pub fn adjust(
     head.check()?;
     let mut sigmas_mm = Vec::new();
     let mut by_each = Vec::new();
-    for (number, scene) in [Some(model.shared.clone()), model.scene_of_second()]
-        .into_iter()
-        .flatten()
-        .enumerate()
-    {
-        let positions = model.head_positions(number == 1);
+    for (projector, scene) in model.scenes.iter().enumerate() {
+        let positions = model.head_positions(projector);
         let of_scene = covariance
             .select_rows(&positions)
             .select_columns(&positions);
-        check_determined(&scene, &of_scene)?;
-        let projector = Lit::new(&scene.head(start), &scene, positions);
-        sigmas_mm.push(volume_sigma_mm(&head, &projector, &covariance));
-        by_each.push(projector);
+        check_determined(scene, &of_scene)?;
+        let lit = Lit::new(&scene.head(start), scene, positions);
+        sigmas_mm.push(volume_sigma_mm(&head, &lit, &covariance));
+        by_each.push(lit);
     }
     // Points may come from either projector alone, so the larger uncertainty counts.
     let worst = |along: usize| {
@@ -167,51 +163,34 @@ fn check_fit(dropped: usize, all: usize, rms_px: [f64; 2]) -> Result<(), Calibra
             limit_percent: MOST_OUTLIERS_PERCENT as u32,
         });
     }
-    for ((what, got_px), limit_px) in ["dots", "fringes"].into_iter().zip(rms_px).zip(LIMIT_PX) {
-        // Written so that a NaN fails.
-        if !(got_px <= limit_px) {
-            return Err(CalibrateError::Residual {
-                what,
-                got_px,
-                limit_px,
-            });
-        }
+    match beyond([0, 1].map(|image| (["dots", "fringes"][image], rms_px[image], LIMIT_PX[image]))) {
+        None => Ok(()),
+        Some((what, got_px, limit_px)) => Err(CalibrateError::Residual {
+            what,
+            got_px,
+            limit_px,
+        }),
     }
-    Ok(())
 }
 
 fn check_determined(scene: &Scene, covariance: &DMatrix<f64>) -> Result<(), CalibrateError> {
     let sigma = |unknown: usize| covariance[(unknown, unknown)].sqrt();
+    let of_camera = sigma(CAMERA_FOCAL) / scene.rig.camera.focal_px[0];
+    let of_projector = sigma(PROJECTOR_FOCAL) / scene.rig.projector.focal_px[0];
+    let [column, row] = [0, 1].map(|axis| sigma(CAMERA_PRINCIPAL + axis));
+    #[rustfmt::skip]
     let unknowns = [
-        (
-            "the camera's focal length (relative)",
-            sigma(CAMERA_FOCAL) / scene.rig.camera.focal_px[0],
-            FOCAL_LIMIT,
-        ),
-        (
-            "the camera's principal column (px)",
-            sigma(CAMERA_PRINCIPAL),
-            PRINCIPAL_LIMIT_PX,
-        ),
-        (
-            "the camera's principal row (px)",
-            sigma(CAMERA_PRINCIPAL + 1),
-            PRINCIPAL_LIMIT_PX,
-        ),
-        (
-            "a projector's focal length (relative)",
-            sigma(PROJECTOR_FOCAL) / scene.rig.projector.focal_px[0],
-            FOCAL_LIMIT,
-        ),
+        ("the camera's focal length (relative)", of_camera, FOCAL_LIMIT),
+        ("the camera's principal column (px)", column, PRINCIPAL_LIMIT_PX),
+        ("the camera's principal row (px)", row, PRINCIPAL_LIMIT_PX),
+        ("a projector's focal length (relative)", of_projector, FOCAL_LIMIT),
     ];
-    for (unknown, sigma, limit) in unknowns {
-        if !(sigma <= limit) {
-            return Err(CalibrateError::Degenerate {
-                unknown,
-                sigma,
-                limit,
-            });
-        }
+    match beyond(unknowns) {
+        None => Ok(()),
+        Some((unknown, sigma, limit)) => Err(CalibrateError::Degenerate {
+            unknown,
+            sigma,
+            limit,
+        }),
     }
-    Ok(())
 }

@@ -254,6 +254,11 @@ pub(crate) fn mean_squares_px2(
         .map(|image| squares[image] / (count * coordinates.saturating_sub(2 * image).min(2) as f64))
 }
 
+/// The first figure (name, value, limit) that exceeds its limit or is NaN.
+pub(crate) fn beyond<W, const N: usize>(figures: [(W, f64, f64); N]) -> Option<(W, f64, f64)> {
+    figures.into_iter().find(|(_, got, limit)| !(got <= limit))
+}
+
 /// How often dots are weighed anew, and how near to the minimum that is done.
 #[derive(Clone, Copy)]
 pub(crate) struct Reweighting {

@@ -79,46 +79,21 @@ impl Captures {
         Ok(captures)
     }
 
+    #[rustfmt::skip]
     fn check(&self, target: &Target) -> Result<(), BadValue> {
         let adjusting = self.view.iter().filter(|view| !view.kept_aside).count();
-        if adjusting < LEAST_VIEWS {
-            return Err(BadValue::new(
-                "view",
-                adjusting,
-                "must be at least 6 tables [[view]] without kept_aside",
-            ));
-        }
-        let places = target.spheres().len().max(1);
-        if ![0, places].contains(&self.sphere.len()) {
-            return Err(BadValue::new(
-                "sphere",
-                self.sphere.len(),
-                "must be a folder for each [[test_place]] of the target",
-            ));
-        }
-        for (index, view) in self.view.iter().enumerate() {
+        let (spheres, places) = (self.sphere.len(), target.spheres().len().max(1));
+        textfile::require(&[
+            (adjusting >= LEAST_VIEWS, "view", &adjusting, "must be at least 6 tables [[view]] without kept_aside"),
+            ([0, places].contains(&spheres), "sphere", &spheres, "must be a folder for each [[test_place]] of the target"),
+        ])?;
+        for (index, CapturedView { plate, rotation_rad, vertical_mm, .. }) in self.view.iter().enumerate() {
             let key = |name: &str| format!("view[{index}].{name}");
-            if !(1..=target.plate.len()).contains(&view.plate) {
-                return Err(BadValue::new(
-                    key("plate"),
-                    view.plate,
-                    "must be a plate of the target; the first is 1",
-                ));
-            }
-            if !(view.rotation_rad.abs() < 1e3) {
-                return Err(BadValue::new(
-                    key("rotation_rad"),
-                    view.rotation_rad,
-                    "must be radians",
-                ));
-            }
-            if !(view.vertical_mm.abs() < 1e4) {
-                return Err(BadValue::new(
-                    key("vertical_mm"),
-                    view.vertical_mm,
-                    "must be millimetres",
-                ));
-            }
+            textfile::require(&[
+                ((1..=target.plate.len()).contains(plate), &key("plate"), plate, "must be a plate of the target; the first is 1"),
+                (rotation_rad.abs() < 1e3, &key("rotation_rad"), rotation_rad, "must be radians"),
+                (vertical_mm.abs() < 1e4, &key("vertical_mm"), vertical_mm, "must be millimetres"),
+            ])?;
         }
         Ok(())
     }

@@ -152,65 +152,27 @@ impl FocusSeries {
         Ok(series)
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        if !(-1.0..=1.0).contains(&self.drift_dpt_per_kelvin) {
-            return Err(BadValue::new(
-                "drift_dpt_per_kelvin",
-                self.drift_dpt_per_kelvin,
-                "must be at most a dioptre per kelvin either way",
-            ));
+        let (drift, drift_sigma) = (&self.drift_dpt_per_kelvin, &self.drift_sigma_dpt_per_kelvin);
+        let (sigmas, of_sigma) = (0.0..10.0, "must be 0 or more, and below 10");
+        let count = self.focus.len();
+        textfile::require(&[
+            ((-1.0..=1.0).contains(drift), "drift_dpt_per_kelvin", drift, "must be at most a dioptre per kelvin either way"),
+            (sigmas.contains(drift_sigma), "drift_sigma_dpt_per_kelvin", drift_sigma, of_sigma),
+            (sigmas.contains(&self.celsius_sigma), "celsius_sigma", &self.celsius_sigma, of_sigma),
+            ((MIN_SETTINGS..=MAX_SETTINGS).contains(&count), "focus", &count, "must be 3 to 5 calibrated settings"),
+        ])?;
+        for Focus { setting_dpt, celsius, .. } in &self.focus {
+            textfile::require(&[
+                ((-30.0..=30.0).contains(setting_dpt), "focus.setting_dpt", setting_dpt, "must be within 30 dpt of nothing"),
+                (is_temperature(*celsius), "focus.celsius", celsius, "must be -50 to 100 degrees"),
+            ])?;
         }
-        for (key, sigma) in [
-            (
-                "drift_sigma_dpt_per_kelvin",
-                self.drift_sigma_dpt_per_kelvin,
-            ),
-            ("celsius_sigma", self.celsius_sigma),
-        ] {
-            if !(0.0..10.0).contains(&sigma) {
-                return Err(BadValue::new(key, sigma, "must be 0 or more, and below 10"));
-            }
-        }
-        if !(MIN_SETTINGS..=MAX_SETTINGS).contains(&self.focus.len()) {
-            return Err(BadValue::new(
-                "focus",
-                self.focus.len(),
-                "must be 3 to 5 calibrated settings",
-            ));
-        }
-        for focus in &self.focus {
-            if !(-30.0..=30.0).contains(&focus.setting_dpt) {
-                return Err(BadValue::new(
-                    "focus.setting_dpt",
-                    focus.setting_dpt,
-                    "must be within 30 dpt of nothing",
-                ));
-            }
-            if !is_temperature(focus.celsius) {
-                return Err(BadValue::new(
-                    "focus.celsius",
-                    focus.celsius,
-                    "must be -50 to 100 degrees",
-                ));
-            }
-        }
-        let mut powers: Vec<f64> = self
-            .focus
-            .iter()
-            .map(|focus| self.power_of(focus))
-            .collect();
+        let mut powers: Vec<f64> = self.focus.iter().map(|focus| self.power_of(focus)).collect();
         powers.sort_by(f64::total_cmp);
-        match powers
-            .windows(2)
-            .find(|pair| pair[1] - pair[0] < MIN_STEP_DPT)
-        {
-            Some(pair) => Err(BadValue::new(
-                "focus.setting_dpt",
-                pair[1],
-                "must be 0.1 dpt from the others, drift included",
-            )),
-            None => Ok(()),
-        }
+        let close = powers.windows(2).find(|pair| pair[1] - pair[0] < MIN_STEP_DPT);
+        textfile::require(&[(close.is_none(), "focus.setting_dpt", &close.map_or(0.0, |pair| pair[1]), "must be 0.1 dpt from the others, drift included")])
     }
 
     fn power_dpt(&self, setting_dpt: f64, celsius: f64) -> f64 {

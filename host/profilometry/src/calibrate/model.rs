@@ -132,17 +132,6 @@ impl Scene {
         self
     }
 
-    /// The scene in the light of a second projector, whose lens and place are those of `second`.
-    pub fn lit_by(&self, second: &Self) -> Self {
-        Self {
-            rig: Rig {
-                camera: self.rig.camera.clone(),
-                ..second.rig.clone()
-            },
-            ..self.clone()
-        }
-    }
-
     /// Whether the lenses have residual fields.
     fn has_fields(&self) -> bool {
         self.rig.camera.residual.is_some()
@@ -212,15 +201,6 @@ impl Scene {
             add(SHARED + k, px, sigma);
         }
         priors
-    }
-
-    /// The second projector of these values.
-    fn second_projector(&self, start: &SecondProjector) -> SecondProjector {
-        SecondProjector {
-            projector: self.rig.projector.clone(),
-            projector_from_camera: transform(&self.rig.projector_from_camera),
-            ..start.clone()
-        }
     }
 
     /// The head of these values; what the adjustment does not touch stays as in `start`.
@@ -293,9 +273,8 @@ pub(crate) struct Setting<'a> {
     pub sightings: &'a [Sighting],
     /// Poses of the plates by their certificates.
     certified: Vec<Isometry3<f64>>,
-    start: Scene,
-    /// The scene in the light of a second projector.
-    start_of_second: Option<Scene>,
+    /// Starting values in the light of each projector.
+    starts: Vec<Scene>,
     /// Standard uncertainty of the stages: rad, mm.
     stage_sigma: [f64; 2],
 }
@@ -309,15 +288,16 @@ impl<'a> Setting<'a> {
         stage_sigma: [f64; 2],
     ) -> Self {
         let plates = target.plate.iter();
-        let second = head.with_projector(2);
+        let lit = (1..).map_while(|projector| head.with_projector(projector));
         Self {
             target,
             sightings,
             certified: plates
                 .map(|plate| isometry(&plate.tool_from_plate))
                 .collect(),
-            start: Scene::new(head, stage_from_camera),
-            start_of_second: second.map(|head| Scene::new(&head, stage_from_camera)),
+            starts: lit
+                .map(|head| Scene::new(&head, stage_from_camera))
+                .collect(),
             stage_sigma,
         }
     }
@@ -327,7 +307,7 @@ impl<'a> Setting<'a> {
         let dots = &self.target.dots;
         let first = self.sightings.iter().map(|sighting| &sighting.marks);
         let second = self.sightings.iter().map(|sighting| &sighting.by_second);
-        let second = second.filter(|_| self.start_of_second.is_some());
+        let second = second.filter(|_| self.starts.len() > 1);
         first
             .chain(second)
             .map(|marks| {
@@ -346,9 +326,8 @@ impl<'a> Setting<'a> {
 #[derive(Clone)]
 pub(crate) struct PlateModel<'a> {
     setting: &'a Setting<'a>,
-    pub shared: Scene,
-    /// The scene of which lens and pose are a second projector's.
-    second: Option<Scene>,
+    /// The head's values in the light of each projector. Those of camera and stages are the same in all.
+    pub scenes: Vec<Scene>,
     plates: Vec<Isometry3<f64>>,
     stage_errors: Vec<[f64; 2]>,
     /// Standard deviation of the coefficients of the residual fields, camera and projector; without effect where the scene has none.
@@ -360,8 +339,7 @@ impl<'a> PlateModel<'a> {
     pub fn new(setting: &'a Setting<'a>, field_sigma_px: [f64; 2]) -> Self {
         Self {
             setting,
-            shared: setting.start.clone(),
-            second: setting.start_of_second.clone(),
+            scenes: setting.starts.clone(),
             plates: setting.certified.clone(),
             stage_errors: vec![[0.0; 2]; setting.sightings.len()],
             field_sigma_px,
@@ -370,43 +348,42 @@ impl<'a> PlateModel<'a> {
 
     /// The same with residual fields of no shift.
     pub fn with_fields(self, head: &HeadModel) -> Self {
+        let scenes = self.scenes.into_iter();
         Self {
-            shared: self.shared.with_fields(head),
-            second: self.second.map(|scene| scene.with_fields(head)),
+            scenes: scenes.map(|scene| scene.with_fields(head)).collect(),
             ..self
         }
     }
 
     /// The head of these values.
     pub fn head(&self, start: &HeadModel) -> HeadModel {
-        let second = self.second.as_ref().zip(start.second_projector.as_ref());
+        let second = self.scenes.get(1).zip(start.second_projector.as_ref());
         HeadModel {
-            second_projector: second.map(|(scene, start)| scene.second_projector(start)),
-            ..self.shared.head(start)
+            second_projector: second.map(|(scene, start)| SecondProjector {
+                projector: scene.rig.projector.clone(),
+                projector_from_camera: transform(&scene.rig.projector_from_camera),
+                ..start.clone()
+            }),
+            ..self.scenes[0].head(start)
         }
     }
 
-    /// The scene in the light of the second projector.
-    pub fn scene_of_second(&self) -> Option<Scene> {
-        Some(self.shared.lit_by(self.second.as_ref()?))
-    }
-
-    /// Positions, among all unknowns, of the head's unknowns of a scene in the light of the first or the second projector.
-    pub fn head_positions(&self, by_second: bool) -> Vec<usize> {
-        let mut positions: Vec<usize> = (0..head_unknowns(&self.shared).count()).collect();
-        if by_second {
+    /// Positions, among all unknowns, of the head's unknowns of a scene in the light of a projector: 0 the first, 1 the second.
+    pub fn head_positions(&self, projector: usize) -> Vec<usize> {
+        let mut positions: Vec<usize> = (0..head_unknowns(&self.scenes[0]).count()).collect();
+        if projector > 0 {
             let first = positions.len();
-            for (number, position) in projector_positions(&self.shared).enumerate() {
+            for (number, position) in projector_positions(&self.scenes[0]).enumerate() {
                 positions[position] = first + number;
             }
         }
         positions
     }
 
-    /// Number of a view's sighting, and whether it is by the second projector.
-    fn sighting(&self, view: usize) -> (usize, bool) {
+    /// Numbers of a view's sighting and of its projector.
+    fn sighting(&self, view: usize) -> (usize, usize) {
         let sightings = self.setting.sightings.len();
-        (view % sightings, view >= sightings)
+        (view % sightings, view / sightings)
     }
 
     /// Position of a plate's first unknown.
@@ -432,31 +409,27 @@ impl ObservationModel for PlateModel<'_> {
     }
 
     fn head_unknowns(&self) -> usize {
-        let own = self.second.as_ref();
-        head_unknowns(&self.shared).count()
-            + own.map_or(0, |_| projector_positions(&self.shared).count())
+        let first = &self.scenes[0];
+        head_unknowns(first).count() + (self.scenes.len() - 1) * projector_positions(first).count()
     }
 
     fn view(&self, view: usize) -> Scene {
-        let (view, by_second) = self.sighting(view);
-        let lit = match &self.second {
-            Some(second) if by_second => self.shared.lit_by(second),
-            _ => self.shared.clone(),
-        };
+        let (view, projector) = self.sighting(view);
+        let sighting = &self.setting.sightings[view];
         Scene {
-            tool_from_plate: self.plates[self.setting.sightings[view].plate],
-            stage: self.setting.sightings[view].stage,
+            tool_from_plate: self.plates[sighting.plate],
+            stage: sighting.stage,
             stage_error: self.stage_errors[view],
-            ..lit
+            ..self.scenes[projector].clone()
         }
     }
 
     fn positions(&self, view: usize) -> Vec<usize> {
-        let (view, by_second) = self.sighting(view);
+        let (view, projector) = self.sighting(view);
         let plate = self.plate_position(self.setting.sightings[view].plate);
         let stages = self.stage_position(view);
         let own = (plate..plate + OF_PLATE).chain(stages..stages + OF_VIEW);
-        let mut positions = self.head_positions(by_second);
+        let mut positions = self.head_positions(projector);
         positions.splice(SHARED..SHARED, own);
         positions
     }
@@ -465,22 +438,20 @@ impl ObservationModel for PlateModel<'_> {
         let Setting {
             target,
             certified,
-            start,
-            start_of_second,
+            starts,
             stage_sigma,
             ..
         } = self.setting;
-        let mut priors = self.shared.priors(start, self.field_sigma_px);
-        let second = self.scene_of_second();
-        if let Some((now, then)) = second.zip(start_of_second.as_ref()) {
-            // Priors of the unknowns shared with the first projector are counted once.
-            let positions = self.head_positions(true);
-            let own = now.priors(then, self.field_sigma_px).into_iter();
-            let own = own.filter(|prior| positions[prior.unknown] != prior.unknown);
-            priors.extend(own.map(|prior| Prior {
-                unknown: positions[prior.unknown],
-                ..prior
-            }));
+        let mut priors = Vec::new();
+        for (projector, (now, start)) in self.scenes.iter().zip(starts).enumerate() {
+            let positions = self.head_positions(projector);
+            for prior in now.priors(start, self.field_sigma_px) {
+                let unknown = positions[prior.unknown];
+                // Priors of the unknowns shared with the first projector are counted once.
+                if projector == 0 || unknown != prior.unknown {
+                    priors.push(Prior { unknown, ..prior });
+                }
+            }
         }
         let mut add = |unknown: usize, off: f64, sigma: f64| {
             priors.push(Prior {
@@ -511,13 +482,10 @@ impl ObservationModel for PlateModel<'_> {
     }
 
     fn step(&mut self, step: &DVector<f64>) {
-        let positions = self.head_positions(true);
-        for (position, unknown) in head_unknowns(&self.shared).enumerate() {
-            self.shared.step(unknown, step[position]);
-            if let Some(second) = &mut self.second
-                && positions[position] != position
-            {
-                second.step(unknown, step[positions[position]]);
+        for projector in 0..self.scenes.len() {
+            let positions = self.head_positions(projector);
+            for (unknown, position) in head_unknowns(&self.scenes[projector]).zip(positions) {
+                self.scenes[projector].step(unknown, step[position]);
             }
         }
         let (first_plate, first_stage) = (self.plate_position(0), self.stage_position(0));
@@ -537,11 +505,11 @@ impl ObservationModel for PlateModel<'_> {
     /// Estimates the size of the fields' coefficients: sum of squares over the number of coefficients that the dots determine rather
     /// than the prior (MacKay 1992, Bayesian interpolation). For lenses without irregularities it ends near zero.
     fn update_priors(&mut self, covariance: &DMatrixView<'_, f64>, same: f64) -> bool {
-        let [camera, first] = self.shared.field_px();
+        let [camera, first] = self.scenes[0].field_px();
         let mut positions = SHARED..;
         let mut lenses = [camera, first]
             .map(|px| -> Vec<(f64, usize)> { px.into_iter().zip(positions.by_ref()).collect() });
-        if let Some(scene) = &self.second {
+        for scene in &self.scenes[1..] {
             let [_, second] = scene.field_px();
             let first_of_field = self.head_unknowns() - second.len();
             lenses[1].extend(second.into_iter().zip(first_of_field..));

@@ -197,22 +197,15 @@ impl Sphere {
     }
 
     /// Checks the values of what the file calls `name`.
+    #[rustfmt::skip]
     fn check(&self, name: &str) -> Result<(), BadValue> {
         let keys = [name.to_owned(), format!("{name}.partner")];
         for (key, (centre_mm, diameter_mm)) in keys.iter().zip(self.each()) {
-            // Written so that a NaN fails, here and below.
-            if !(diameter_mm > 0.0 && diameter_mm < 1e3) {
-                let key = format!("{key}.diameter_mm");
-                return Err(BadValue::new(
-                    key,
-                    diameter_mm,
-                    "must be positive millimetres",
-                ));
-            }
-            if centre_mm.iter().any(|x| !(x.abs() < 1e4)) {
-                let key = format!("{key}.centre_mm");
-                return Err(BadValue::new(key, centre_mm, "must be finite millimetres"));
-            }
+            let is_near = centre_mm.iter().all(|x| x.abs() < 1e4);
+            textfile::require(&[
+                (diameter_mm > 0.0 && diameter_mm < 1e3, &format!("{key}.diameter_mm"), &diameter_mm, "must be positive millimetres"),
+                (is_near, &format!("{key}.centre_mm"), &centre_mm, "must be finite millimetres"),
+            ])?;
         }
         let Some(partner) = self.partner else {
             return Ok(());
@@ -220,21 +213,11 @@ impl Sphere {
         let apart = |k: usize| partner.centre_mm[k] - self.centre_mm[k];
         let drawn_mm = (0..3).map(|k| apart(k).powi(2)).sum::<f64>().sqrt();
         let touching_mm = 0.5 * (self.diameter_mm + partner.diameter_mm);
-        if !(partner.spacing_mm > touching_mm) {
-            return Err(BadValue::new(
-                format!("{name}.partner.spacing_mm"),
-                partner.spacing_mm,
-                "must be the distance of the centres of two spheres that do not touch",
-            ));
-        }
-        if (partner.spacing_mm - drawn_mm).abs() > PARTNER_OFF_MM {
-            return Err(BadValue::new(
-                format!("{name}.partner.spacing_mm"),
-                partner.spacing_mm,
-                "must agree with the two centres to 0.1 mm",
-            ));
-        }
-        Ok(())
+        let (key, spacing_mm) = (format!("{name}.partner.spacing_mm"), partner.spacing_mm);
+        textfile::require(&[
+            (spacing_mm > touching_mm, &key, &spacing_mm, "must be the distance of the centres of two spheres that do not touch"),
+            ((spacing_mm - drawn_mm).abs() <= PARTNER_OFF_MM, &key, &spacing_mm, "must agree with the two centres to 0.1 mm"),
+        ])
     }
 }
 
@@ -296,71 +279,29 @@ impl Target {
         self.test_places().into_iter().filter_map(seen).collect()
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        let Dots {
-            pitch_mm,
-            diameter_mm,
-            key_diameter_mm,
-        } = self.dots;
-        let within = |key: &str, got: f64, low: f64, high: f64, expected| {
-            // Written so that a NaN fails.
-            if got > low && got < high {
-                Ok(())
-            } else {
-                Err(BadValue::new(key, got, expected))
-            }
-        };
-        within(
-            "dots.pitch_mm",
-            pitch_mm,
-            0.0,
-            1e3,
-            "must be positive millimetres",
-        )?;
-        within(
-            "dots.diameter_mm",
-            diameter_mm,
-            0.0,
-            0.7 * pitch_mm,
-            "must be positive and at most 0.7 of the pitch",
-        )?;
-        within(
-            "dots.key_diameter_mm",
-            key_diameter_mm,
-            1.25 * diameter_mm,
-            0.85 * pitch_mm,
-            "must exceed the other dots by a quarter, and be at most 0.85 of the pitch",
-        )?;
+        let Dots { pitch_mm, diameter_mm, key_diameter_mm } = self.dots;
+        // False for a NaN.
+        let within = |got: f64, low: f64, high: f64| got > low && got < high;
         let small = "must be positive and small: the plate's certificate says how well it is known";
-        within("pose_sigma_mm", self.pose_sigma_mm, 0.0, 1.0, small)?;
-        within("pose_sigma_rad", self.pose_sigma_rad, 0.0, 0.1, small)?;
-        within(
-            "retract_mm",
-            self.retract_mm,
-            -1e4,
-            1e4,
-            "must be millimetres",
-        )?;
-        if self.exposure_us == 0 {
-            return Err(BadValue::new(
-                "exposure_us",
-                0,
-                "must be positive microseconds",
-            ));
-        }
+        textfile::require(&[
+            (within(pitch_mm, 0.0, 1e3), "dots.pitch_mm", &pitch_mm, "must be positive millimetres"),
+            (within(diameter_mm, 0.0, 0.7 * pitch_mm), "dots.diameter_mm", &diameter_mm, "must be positive and at most 0.7 of the pitch"),
+            (within(key_diameter_mm, 1.25 * diameter_mm, 0.85 * pitch_mm), "dots.key_diameter_mm", &key_diameter_mm, "must exceed the other dots by a quarter, and be at most 0.85 of the pitch"),
+            (within(self.pose_sigma_mm, 0.0, 1.0), "pose_sigma_mm", &self.pose_sigma_mm, small),
+            (within(self.pose_sigma_rad, 0.0, 0.1), "pose_sigma_rad", &self.pose_sigma_rad, small),
+            (within(self.retract_mm, -1e4, 1e4), "retract_mm", &self.retract_mm, "must be millimetres"),
+            (self.exposure_us > 0, "exposure_us", &self.exposure_us, "must be positive microseconds"),
+        ])?;
         self.blank.tool_from_plate.check("blank.tool_from_plate")?;
         for (index, plate) in self.plate.iter().enumerate() {
-            plate
-                .tool_from_plate
-                .check(&format!("plate[{index}].tool_from_plate"))?;
+            plate.tool_from_plate.check(&format!("plate[{index}].tool_from_plate"))?;
         }
-        if self.test_place.len() > MOST_TEST_PLACES {
-            let expected = "must be at most 32 tables [[test_place]]";
-            return Err(BadValue::new("test_place", self.test_place.len(), expected));
-        }
+        let places = self.test_place.len();
+        textfile::require(&[(places <= MOST_TEST_PLACES, "test_place", &places, "must be at most 32 tables [[test_place]]")])?;
         for (index, plate) in self.test_blank.iter().enumerate() {
-            let key = format!("test_blank[{index}].tool_from_plate");
-            plate.tool_from_plate.check(&key)?;
+            plate.tool_from_plate.check(&format!("test_blank[{index}].tool_from_plate"))?;
         }
         if let Some(sphere) = &self.sphere {
             sphere.check("sphere")?;
@@ -368,49 +309,33 @@ impl Target {
         for (index, sphere) in self.test_sphere.iter().enumerate() {
             sphere.check(&format!("test_sphere[{index}]"))?;
         }
-        for (index, place) in self.test_place.iter().enumerate() {
+        let blanks = 1 + self.test_blank.len();
+        let spheres = usize::from(self.sphere.is_some()) + self.test_sphere.len();
+        for (index, TestPlace { blank, sphere, .. }) in self.test_place.iter().enumerate() {
             let key = |of: &str| format!("test_place[{index}].{of}");
-            if !(1..=1 + self.test_blank.len()).contains(&place.blank) {
-                let expected = "must be 1 for [blank], 2 for the first [[test_blank]] and so on";
-                return Err(BadValue::new(key("blank"), place.blank, expected));
-            }
-            let spheres = usize::from(self.sphere.is_some()) + self.test_sphere.len();
-            if !(1..=spheres.max(1)).contains(&place.sphere) {
-                let expected = "must be 1 for [sphere], 2 for the first [[test_sphere]] and so on";
-                return Err(BadValue::new(key("sphere"), place.sphere, expected));
-            }
+            textfile::require(&[
+                ((1..=blanks).contains(blank), &key("blank"), blank, "must be 1 for [blank], 2 for the first [[test_blank]] and so on"),
+                ((1..=spheres.max(1)).contains(sphere), &key("sphere"), sphere, "must be 1 for [sphere], 2 for the first [[test_sphere]] and so on"),
+            ])?;
         }
-        if self.sphere.is_none() && !self.test_sphere.is_empty() {
-            let expected = "must be 0 without a [sphere], which is the first";
-            return Err(BadValue::new(
-                "test_sphere",
-                self.test_sphere.len(),
-                expected,
-            ));
-        }
-        if !BESIDE.contains(&self.beside.len()) {
-            return Err(BadValue::new(
-                "beside",
-                self.beside.len(),
-                "must be 2 to 16 places, the last for the view that is kept aside",
-            ));
-        }
-        let small = [
-            "must be radians, less than 0.5 to either side",
-            "must be millimetres, less than 50 up or down",
-        ];
+        let (more, beside) = (self.test_sphere.len(), self.beside.len());
+        textfile::require(&[
+            (self.sphere.is_some() || more == 0, "test_sphere", &more, "must be 0 without a [sphere], which is the first"),
+            (BESIDE.contains(&beside), "beside", &beside, "must be 2 to 16 places, the last for the view that is kept aside"),
+        ])?;
+        let small = ["must be radians, less than 0.5 to either side", "must be millimetres, less than 50 up or down"];
         let any = ["must be -1 to 1 rad", "must be millimetres"];
         let test_places: Vec<_> = self.test_place.iter().map(TestPlace::offset).collect();
-        for (name, places, [turned_rad, raised_mm], [turned, raised]) in [
+        for (name, places, [most_rad, most_mm], [turned, raised]) in [
             ("test_place", &test_places, [0.5, 50.0], small),
             ("beside", &self.beside, [1.0, 1e3], any),
         ] {
-            for (index, at) in places.iter().enumerate() {
+            for (index, StageOffset { turned_rad, raised_mm }) in places.iter().enumerate() {
                 let key = |of: &str| format!("{name}[{index}].{of}");
-                let turn = key("turned_rad");
-                within(&turn, at.turned_rad, -turned_rad, turned_rad, turned)?;
-                let lift = key("raised_mm");
-                within(&lift, at.raised_mm, -raised_mm, raised_mm, raised)?;
+                textfile::require(&[
+                    (within(*turned_rad, -most_rad, most_rad), &key("turned_rad"), turned_rad, turned),
+                    (within(*raised_mm, -most_mm, most_mm), &key("raised_mm"), raised_mm, raised),
+                ])?;
             }
         }
         self.limits.as_ref().map_or(Ok(()), Limits::check)

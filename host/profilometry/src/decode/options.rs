@@ -151,93 +151,35 @@ impl DecodeOptions {
     }
 
     /// Checks every option against its limits.
+    #[rustfmt::skip]
     pub(crate) fn check(&self) -> Result<(), DecodeError> {
-        let options = self;
-        let bad = |option, got, expected| {
-            Err(DecodeError::Option {
-                option,
-                got,
-                expected,
-            })
-        };
-        if !(1..=64).contains(&options.binning) {
-            return bad("binning", options.binning as f64, "must be 1 to 64 pixels");
-        }
-        if !(0.0..1.0).contains(&options.min_contrast) {
-            return bad(
-                "min_contrast",
-                options.min_contrast,
-                "must be at least 0 and below 1",
-            );
-        }
-        for (name, value) in [
-            ("smoothing_px", options.smoothing_px),
-            ("coarse_smoothing_px", options.coarse_smoothing_px),
+        let (smoothing_px, coarse_px) = (self.smoothing_px, self.coarse_smoothing_px);
+        let on_pixels = self.grid == GridKind::Pixel;
+        let none_on_cores = "must be 0 (none) on the core grid: it acts on pixels";
+        let floor_dn = self.min_modulation_dn.unwrap_or(0.0);
+        let max_sigma_mm = self.max_sigma_z_mm.unwrap_or(1.0);
+        let [probability, response] =
+            self.consistency.map_or([0.0; 2], |gate| [gate.least_probability, gate.response_ratio]);
+        let [mask_dn, mask_px] = self.mask.map_or([0.0; 2], |mask| [mask.threshold_dn, mask.smoothing_px]);
+        let max_slope = self.patches.map_or(1.0, |patches| patches.max_slope);
+        for (holds, option, got, expected) in [
+            ((1..=64).contains(&self.binning), "binning", self.binning as f64, "must be 1 to 64 pixels"),
+            ((0.0..1.0).contains(&self.min_contrast), "min_contrast", self.min_contrast, "must be at least 0 and below 1"),
+            ((0.0..=100.0).contains(&smoothing_px), "smoothing_px", smoothing_px, "must be 0 to 100 pixels"),
+            ((0.0..=100.0).contains(&coarse_px), "coarse_smoothing_px", coarse_px, "must be 0 to 100 pixels"),
+            (on_pixels || smoothing_px == 0.0, "smoothing_px", smoothing_px, none_on_cores),
+            (on_pixels || coarse_px == 0.0, "coarse_smoothing_px", coarse_px, none_on_cores),
+            ((0.0..=65_535.0).contains(&floor_dn), "min_modulation_dn", floor_dn, "must be 0 to 65535 counts"),
+            (max_sigma_mm > 0.0, "max_sigma_z_mm", max_sigma_mm, "must be positive"),
+            ((0.0..0.5).contains(&probability), "consistency.least_probability", probability, "must be at least 0 and below 0.5"),
+            ((0.0..0.5).contains(&response), "consistency.response_ratio", response, "must be at least 0 and below 0.5"),
+            (mask_dn >= 0.0 && mask_dn.is_finite(), "mask.threshold_dn", mask_dn, "must be at least 0 counts"),
+            ((0.0..=100.0).contains(&mask_px), "mask.smoothing_px", mask_px, "must be 0 to 100 pixels"),
+            (max_slope > 0.0 && max_slope.is_finite(), "patches.max_slope", max_slope, "must be positive"),
         ] {
-            if !(0.0..=100.0).contains(&value) {
-                return bad(name, value, "must be 0 to 100 pixels");
+            if !holds {
+                return Err(DecodeError::Option { option, got, expected });
             }
-        }
-        if options.grid == GridKind::Core {
-            for (name, value) in [
-                ("smoothing_px", options.smoothing_px),
-                ("coarse_smoothing_px", options.coarse_smoothing_px),
-            ] {
-                if value != 0.0 {
-                    return bad(
-                        name,
-                        value,
-                        "must be 0 (none) on the core grid: it acts on pixels",
-                    );
-                }
-            }
-        }
-        if let Some(floor) = options.min_modulation_dn
-            && !(0.0..=65_535.0).contains(&floor)
-        {
-            return bad("min_modulation_dn", floor, "must be 0 to 65535 counts");
-        }
-        if let Some(limit) = options.max_sigma_z_mm
-            && !(limit > 0.0)
-        {
-            return bad("max_sigma_z_mm", limit, "must be positive");
-        }
-        if let Some(gate) = options.consistency {
-            if !(0.0..0.5).contains(&gate.least_probability) {
-                return bad(
-                    "consistency.least_probability",
-                    gate.least_probability,
-                    "must be at least 0 and below 0.5",
-                );
-            }
-            if !(0.0..0.5).contains(&gate.response_ratio) {
-                return bad(
-                    "consistency.response_ratio",
-                    gate.response_ratio,
-                    "must be at least 0 and below 0.5",
-                );
-            }
-        }
-        if let Some(mask) = options.mask {
-            if !(mask.threshold_dn >= 0.0 && mask.threshold_dn.is_finite()) {
-                return bad(
-                    "mask.threshold_dn",
-                    mask.threshold_dn,
-                    "must be at least 0 counts",
-                );
-            }
-            if !(0.0..=100.0).contains(&mask.smoothing_px) {
-                return bad(
-                    "mask.smoothing_px",
-                    mask.smoothing_px,
-                    "must be 0 to 100 pixels",
-                );
-            }
-        }
-        if let Some(patches) = options.patches
-            && !(patches.max_slope > 0.0 && patches.max_slope.is_finite())
-        {
-            return bad("patches.max_slope", patches.max_slope, "must be positive");
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::HeadModel;
 use flankscope_foundation::date::Date;
 use flankscope_foundation::normal::COVERAGE_95;
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// Origin, quality and expiry of a head's geometry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,18 +84,14 @@ impl ApartRecord {
         self.apart_um.max(COVERAGE_95 * self.apart_sigma_um)
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        let of = [
-            ("apart_sigma_um", self.apart_sigma_um),
-            ("apart_um", self.apart_um),
-        ];
-        for (name, um) in of {
-            if !(0.0..=1000.0).contains(&um) {
-                let key = format!("calibration.second_projector.{name}");
-                return Err(BadValue::new(key, um, "must be 0 to 1000 um"));
-            }
-        }
-        Ok(())
+        let Self { apart_sigma_um, apart_um, .. } = self;
+        let (limits_um, right) = (0.0..=1000.0, "must be 0 to 1000 um");
+        textfile::require(&[
+            (limits_um.contains(apart_sigma_um), "calibration.second_projector.apart_sigma_um", apart_sigma_um, right),
+            (limits_um.contains(apart_um), "calibration.second_projector.apart_um", apart_um, right),
+        ])
     }
 }
 
@@ -199,62 +195,28 @@ impl CalibrationRecord {
         Ok(())
     }
 
+    #[rustfmt::skip]
     pub(super) fn check(&self, head: &HeadModel) -> Result<(), BadValue> {
-        if self.unit != "mm" {
-            return Err(BadValue::new(
-                "calibration.unit",
-                &self.unit,
-                "must be \"mm\"",
-            ));
-        }
         // An ordinary board stands anywhere: it ties the head to no stage.
         let (frames, expected) = match &self.board {
-            None => (
-                &FRAMES[..],
-                "must be [\"camera\", \"projector\", \"stage\"]",
-            ),
-            Some(_) => (
-                &FRAMES[..2],
-                "must be [\"camera\", \"projector\"] beside [calibration.board], which tells no place of the head on its stage",
-            ),
+            None => (&FRAMES[..], "must be [\"camera\", \"projector\", \"stage\"]"),
+            Some(_) => (&FRAMES[..2], "must be [\"camera\", \"projector\"] beside [calibration.board], which tells no place of the head on its stage"),
         };
-        if self.frames != frames {
-            return Err(BadValue::new("calibration.frames", &self.frames, expected));
-        }
-        if self.expires < self.date {
-            return Err(BadValue::new(
-                "calibration.expires",
-                self.expires.to_string(),
-                "must not lie before calibration.date",
-            ));
-        }
-        if self.second_projector.is_some() != head.second_projector.is_some() {
-            return Err(BadValue::new(
-                "calibration.second_projector",
-                self.second_projector.is_some(),
-                "must be there with a [second_projector], and only with one: calibrate again, or remove [calibration]",
-            ));
-        }
+        let second = self.second_projector.is_some();
+        textfile::require(&[
+            (self.unit == "mm", "calibration.unit", &self.unit, "must be \"mm\""),
+            (self.frames == frames, "calibration.frames", &self.frames, expected),
+            (self.expires >= self.date, "calibration.expires", &self.expires.to_string(), "must not lie before calibration.date"),
+            (second == head.second_projector.is_some(), "calibration.second_projector", &second, "must be there with a [second_projector], and only with one: calibrate again, or remove [calibration]"),
+        ])?;
         if let Some(apart) = &self.second_projector {
             apart.check()?;
         }
-        if let Some(um) = self.farther_sigma_um
-            && !(0.0..=1000.0).contains(&um)
-        {
-            return Err(BadValue::new(
-                "calibration.farther_sigma_um",
-                um,
-                "must be 0 to 1000 um",
-            ));
-        }
-        if self.blake3 != geometry_blake3(head) {
-            return Err(BadValue::new(
-                "calibration.blake3",
-                &self.blake3,
-                "is not the hash of this file's geometry: it was changed after the calibration; calibrate again, or remove [calibration]",
-            ));
-        }
-        Ok(())
+        let farther_um = self.farther_sigma_um.unwrap_or(0.0);
+        textfile::require(&[
+            ((0.0..=1000.0).contains(&farther_um), "calibration.farther_sigma_um", &farther_um, "must be 0 to 1000 um"),
+            (self.blake3 == geometry_blake3(head), "calibration.blake3", &self.blake3, "is not the hash of this file's geometry: it was changed after the calibration; calibrate again, or remove [calibration]"),
+        ])
     }
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::residual::ResidualField;
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// Pinhole with radial and tangential distortion: Brown's model in OpenCV's order and with OpenCV's conventions.
 ///
@@ -39,68 +39,26 @@ pub(crate) struct Distorted {
 
 impl Pinhole {
     /// Limits on what a file may say; `table` is the name in messages.
+    #[rustfmt::skip]
     pub(crate) fn check(&self, table: &str) -> Result<(), BadValue> {
-        for (key, pixels) in [("width_px", self.width_px), ("height_px", self.height_px)] {
-            if !(1..=MAX_SIDE_PX).contains(&pixels) {
-                return Err(BadValue::new(
-                    format!("{table}.{key}"),
-                    pixels,
-                    "must be 1 to 16384 pixels",
-                ));
-            }
-        }
-        if self
-            .focal_px
-            .iter()
-            .any(|focal| !(*focal >= 1.0 && *focal < 1e7))
-        {
-            return Err(BadValue::new(
-                format!("{table}.focal_px"),
-                self.focal_px,
-                "both must be positive, at least a pixel (focal length divided by pixel pitch)",
-            ));
-        }
-        if self
-            .principal_px
-            .iter()
-            .any(|value| value.is_nan() || value.abs() > 1e6)
-        {
-            return Err(BadValue::new(
-                format!("{table}.principal_px"),
-                self.principal_px,
-                "must be finite pixel coordinates",
-            ));
-        }
-        if self
-            .distortion
-            .iter()
-            .any(|value| value.is_nan() || value.abs() > 1e3)
-        {
-            return Err(BadValue::new(
-                format!("{table}.distortion"),
-                self.distortion,
-                "must be five finite numbers k1, k2, p1, p2, k3",
-            ));
-        }
-        if let Some(residual) = &self.residual {
-            residual.check(&format!("{table}.residual"))?;
+        let Self { width_px, height_px, focal_px, principal_px, distortion, residual } = self;
+        let key = |name: &str| format!("{table}.{name}");
+        let within = |values: &[f64], limit: f64| values.iter().all(|value| value.abs() <= limit);
+        textfile::require(&[
+            ((1..=MAX_SIDE_PX).contains(width_px), &key("width_px"), width_px, "must be 1 to 16384 pixels"),
+            ((1..=MAX_SIDE_PX).contains(height_px), &key("height_px"), height_px, "must be 1 to 16384 pixels"),
+            (focal_px.iter().all(|focal| (1.0..1e7).contains(focal)), &key("focal_px"), focal_px, "both must be positive, at least a pixel (focal length divided by pixel pitch)"),
+            (within(principal_px, 1e6), &key("principal_px"), principal_px, "must be finite pixel coordinates"),
+            (within(distortion, 1e3), &key("distortion"), distortion, "must be five finite numbers k1, k2, p1, p2, k3"),
+        ])?;
+        if let Some(residual) = residual {
+            residual.check(&key("residual"))?;
         }
         // A mapping that folds over inside the image is no camera model: its inverse would not be unique.
-        let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
-        for [x, y] in corners {
-            let pixel = [
-                x * f64::from(self.width_px - 1),
-                y * f64::from(self.height_px - 1),
-            ];
-            if self.undistort(pixel).is_none() {
-                return Err(BadValue::new(
-                    format!("{table}.distortion"),
-                    self.distortion,
-                    "folds over inside the image (its inverse does not exist in a corner): are the coefficients in the order k1, k2, p1, p2, k3?",
-                ));
-            }
-        }
-        Ok(())
+        let [right, bottom] = [width_px, height_px].map(|side| f64::from(side - 1));
+        let corners = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]];
+        let inverts = corners.iter().all(|&corner| self.undistort(corner).is_some());
+        textfile::require(&[(inverts, &key("distortion"), distortion, "folds over inside the image (its inverse does not exist in a corner): are the coefficients in the order k1, k2, p1, p2, k3?")])
     }
 
     /// Whether the lens has no distortion at all.

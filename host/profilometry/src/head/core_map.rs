@@ -75,22 +75,12 @@ const HEADER: &str = "column_px,row_px,gain";
 const MAX_BYTES: u64 = 16 << 20;
 
 impl CoreMapFile {
+    #[rustfmt::skip]
     pub(crate) fn check(&self) -> Result<(), BadValue> {
-        if self.unit != "px" {
-            return Err(BadValue::new(
-                "cores.unit",
-                &self.unit,
-                "must be \"px\", camera pixels with centres at integers",
-            ));
-        }
-        if !(0.3..=5.0).contains(&self.core_sigma_px) {
-            return Err(BadValue::new(
-                "cores.core_sigma_px",
-                self.core_sigma_px,
-                "must be 0.3 to 5 pixels",
-            ));
-        }
-        Ok(())
+        textfile::require(&[
+            (self.unit == "px", "cores.unit", &self.unit, "must be \"px\", camera pixels with centres at integers"),
+            ((0.3..=5.0).contains(&self.core_sigma_px), "cores.core_sigma_px", &self.core_sigma_px, "must be 0.3 to 5 pixels"),
+        ])
     }
 
     /// Reads the map; `head_file` is where the reference stands, the sensor is `width_px` x `height_px`.

@@ -1,6 +1,6 @@
 //! The liquid lens that sets the focus of a head, and its driver's counts.
 
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 use serde::{Deserialize, Serialize};
 
 /// Largest count that a driver of ten bits takes.
@@ -61,45 +61,16 @@ impl LensDrive {
         })
     }
 
+    #[rustfmt::skip]
     pub(super) fn check(&self) -> Result<(), BadValue> {
-        if !(0.0..=f64::from(COUNTS_MAX)).contains(&self.zero_counts) {
-            return Err(BadValue::new(
-                "lens.zero_counts",
-                self.zero_counts,
-                "must be 0 to 1023",
-            ));
-        }
-        let step = self.dpt_per_count.abs();
-        if !(1e-4..=1.0).contains(&step) {
-            return Err(BadValue::new(
-                "lens.dpt_per_count",
-                self.dpt_per_count,
-                "must be 0.0001 to 1 dpt, up or down",
-            ));
-        }
         let [least, most] = self.range;
-        if least >= most || most > COUNTS_MAX {
-            return Err(BadValue::new(
-                "lens.range",
-                self.range,
-                "must be two counts of at most 1023, the lesser first",
-            ));
-        }
-        if !(least..=most).contains(&self.counts) {
-            return Err(BadValue::new(
-                "lens.counts",
-                self.counts,
-                "must be within lens.range",
-            ));
-        }
-        if self.settle_ms > SETTLE_MAX_MS {
-            return Err(BadValue::new(
-                "lens.settle_ms",
-                self.settle_ms,
-                "must be at most 2000",
-            ));
-        }
-        Ok(())
+        textfile::require(&[
+            ((0.0..=f64::from(COUNTS_MAX)).contains(&self.zero_counts), "lens.zero_counts", &self.zero_counts, "must be 0 to 1023"),
+            ((1e-4..=1.0).contains(&self.dpt_per_count.abs()), "lens.dpt_per_count", &self.dpt_per_count, "must be 0.0001 to 1 dpt, up or down"),
+            (least < most && most <= COUNTS_MAX, "lens.range", &self.range, "must be two counts of at most 1023, the lesser first"),
+            ((least..=most).contains(&self.counts), "lens.counts", &self.counts, "must be within lens.range"),
+            (self.settle_ms <= SETTLE_MAX_MS, "lens.settle_ms", &self.settle_ms, "must be at most 2000"),
+        ])
     }
 }
 

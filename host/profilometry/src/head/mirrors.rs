@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::camera::Pinhole;
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// The grid of the mirrors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,16 +56,9 @@ impl Mirrors {
         }
     }
 
+    #[rustfmt::skip]
     pub(crate) fn check(&self, projector: &Pinhole) -> Result<(), BadValue> {
-        for (key, got, of) in [
-            ("mirrors.columns", self.columns, projector.width_px),
-            ("mirrors.rows", self.rows, projector.height_px),
-        ] {
-            if got != of {
-                let right = "must be as many as [projector] has: its columns and rows are those of the mirrors";
-                return Err(BadValue::new(key, got, right));
-            }
-        }
+        let as_many = "must be as many as [projector] has: its columns and rows are those of the mirrors";
         let [along_columns, along_rows] = projector.focal_px;
         let aspect = along_rows / along_columns;
         let (fits, right) = match self.arrangement {
@@ -80,13 +73,10 @@ impl Mirrors {
                  has rows half as far apart",
             ),
         };
-        match fits {
-            true => Ok(()),
-            false => Err(BadValue::new(
-                "mirrors.arrangement",
-                self.arrangement,
-                right,
-            )),
-        }
+        textfile::require(&[
+            (self.columns == projector.width_px, "mirrors.columns", &self.columns, as_many),
+            (self.rows == projector.height_px, "mirrors.rows", &self.rows, as_many),
+            (fits, "mirrors.arrangement", &self.arrangement, right),
+        ])
     }
 }

@@ -221,74 +221,31 @@ impl HeadModel {
     ///
     /// # Errors
     /// The first value beyond its limits.
+    #[rustfmt::skip]
     pub fn check(&self) -> Result<(), BadValue> {
         self.camera.check("camera")?;
         self.projector.check("projector")?;
-        if let Some(mirrors) = &self.mirrors {
-            mirrors.check(&self.projector)?;
-        }
+        self.mirrors.iter().try_for_each(|mirrors| mirrors.check(&self.projector))?;
         self.projector_from_camera.check("projector_from_camera")?;
-        if let Some(second) = &self.second_projector {
-            second.check()?;
-        }
-        if let Some(hand_eye) = &self.stage_from_camera {
-            hand_eye.check("stage_from_camera")?;
-        }
-        if let Some(sensor) = &self.sensor {
-            sensor.check()?;
-        }
-        if let Some(lens) = &self.lens {
-            lens.check()?;
-        }
-        if let Some(volume) = &self.volume {
-            volume.check()?;
-        }
-        if let Some(cores) = &self.cores {
-            cores.check()?;
-        }
-        if let Some(record) = &self.calibration {
-            record.check(self)?;
-        }
-        if let Some(circle) = &self.image_circle {
-            circle.check("image_circle")?;
-        }
-        if let Some(circle) = &self.projector_circle {
-            circle.check("projector_circle")?;
-        }
-        if let Some(contrast) = self.fringe_contrast
-            && !(contrast > 0.0 && contrast <= 1.0)
-        {
-            return Err(BadValue::new(
-                "fringe_contrast",
-                contrast,
-                "must be above 0 and at most 1",
-            ));
-        }
-        if let Some(distance) = self.working_distance_mm
-            && !(distance > 0.0 && distance.is_finite())
-        {
-            return Err(BadValue::new(
-                "working_distance_mm",
-                distance,
-                "must be positive",
-            ));
-        }
-        if !(1..=64).contains(&self.binning) {
-            return Err(BadValue::new(
-                "binning",
-                self.binning,
-                "must be 1 to 64 pixels",
-            ));
-        }
-        if self.exposures_us.windows(2).any(|pair| pair[0] >= pair[1])
-            || self.exposures_us.first() == Some(&0)
-        {
-            return Err(BadValue::new(
-                "exposures_us",
-                &self.exposures_us,
-                "must be positive and ascending",
-            ));
-        }
+        self.second_projector.iter().try_for_each(SecondProjector::check)?;
+        self.stage_from_camera.iter().try_for_each(|pose| pose.check("stage_from_camera"))?;
+        self.sensor.iter().try_for_each(Sensor::check)?;
+        self.lens.iter().try_for_each(LensDrive::check)?;
+        self.volume.iter().try_for_each(DepthRange::check)?;
+        self.cores.iter().try_for_each(CoreMapFile::check)?;
+        self.calibration.iter().try_for_each(|record| record.check(self))?;
+        self.image_circle.iter().try_for_each(|circle| circle.check("image_circle"))?;
+        self.projector_circle.iter().try_for_each(|circle| circle.check("projector_circle"))?;
+        let contrast = self.fringe_contrast.unwrap_or(1.0);
+        let distance_mm = self.working_distance_mm.unwrap_or(1.0);
+        let exposures_us = &self.exposures_us;
+        let is_ascending = exposures_us.first() != Some(&0) && exposures_us.is_sorted_by(|a, b| a < b);
+        textfile::require(&[
+            (contrast > 0.0 && contrast <= 1.0, "fringe_contrast", &contrast, "must be above 0 and at most 1"),
+            (distance_mm > 0.0 && distance_mm.is_finite(), "working_distance_mm", &distance_mm, "must be positive"),
+            ((1..=64).contains(&self.binning), "binning", &self.binning, "must be 1 to 64 pixels"),
+            (is_ascending, "exposures_us", exposures_us, "must be positive and ascending"),
+        ])?;
         self.check_patterns()
     }
 }

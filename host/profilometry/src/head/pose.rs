@@ -4,7 +4,7 @@ use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 use flankscope_foundation::rigid::{self, Rigid, RigidError};
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// A rotation and a translation, named `<to>_from_<from>` where it is used.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,25 +49,14 @@ impl RigidTransform {
         Rigid::from_rows(&self.rows())
     }
 
+    #[rustfmt::skip]
     pub(crate) fn check(&self, table: &str) -> Result<(), BadValue> {
-        if rigid::rotation(&self.matrix()).is_err() {
-            return Err(BadValue::new(
-                format!("{table}.rotation"),
-                self.rotation,
-                "must be a rotation matrix, row by row: orthonormal to 1e-5 and right-handed",
-            ));
-        }
-        if self
-            .translation_mm
-            .iter()
-            .any(|value| value.is_nan() || value.abs() > 1e6)
-        {
-            return Err(BadValue::new(
-                format!("{table}.translation_mm"),
-                self.translation_mm,
-                "must be finite millimetres",
-            ));
-        }
-        Ok(())
+        let Self { rotation, translation_mm } = self;
+        let is_rotation = rigid::rotation(&self.matrix()).is_ok();
+        let is_near = translation_mm.iter().all(|value| value.abs() <= 1e6);
+        textfile::require(&[
+            (is_rotation, &format!("{table}.rotation"), rotation, "must be a rotation matrix, row by row: orthonormal to 1e-5 and right-handed"),
+            (is_near, &format!("{table}.translation_mm"), translation_mm, "must be finite millimetres"),
+        ])
     }
 }

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// Coefficients along a side.
 pub const SIDE: usize = 10;
@@ -126,33 +126,18 @@ impl ResidualField {
     }
 
     /// Limits on what a file may say; `table` is the name in messages.
+    #[rustfmt::skip]
     pub(crate) fn check(&self, table: &str) -> Result<(), BadValue> {
-        if !self.centre.iter().all(|x| x.abs() < 10.0) {
-            return Err(BadValue::new(
-                format!("{table}.centre"),
-                self.centre,
-                "must be a point of the image plane z = 1",
-            ));
-        }
-        if !(self.half_side > 1e-3 && self.half_side < 10.0) {
-            return Err(BadValue::new(
-                format!("{table}.half_side"),
-                self.half_side,
-                "must be 0.001 to 10, in the image plane z = 1",
-            ));
-        }
-        let directions = [
-            ("columns_px", Some(&self.columns_px)),
-            ("rows_px", self.rows_px.as_ref()),
-        ];
-        for (key, coefficients) in directions {
-            let all = coefficients.into_iter().flatten().flatten();
-            if let Some(bad) = all.copied().find(|c| !(c.abs() <= MAX_SHIFT_PX)) {
-                return Err(BadValue::new(
-                    format!("{table}.{key}"),
-                    bad,
-                    "must be pixels, at most 10 either way",
-                ));
+        let Self { centre, half_side, columns_px, rows_px } = self;
+        let is_in_plane = centre.iter().all(|x| x.abs() < 10.0);
+        textfile::require(&[
+            (is_in_plane, &format!("{table}.centre"), centre, "must be a point of the image plane z = 1"),
+            (*half_side > 1e-3 && *half_side < 10.0, &format!("{table}.half_side"), half_side, "must be 0.001 to 10, in the image plane z = 1"),
+        ])?;
+        for (key, coefficients) in [("columns_px", Some(columns_px)), ("rows_px", rows_px.as_ref())] {
+            let mut all = coefficients.into_iter().flatten().flatten();
+            if let Some(bad) = all.find(|c| !(c.abs() <= MAX_SHIFT_PX)) {
+                return Err(BadValue::new(format!("{table}.{key}"), bad, "must be pixels, at most 10 either way"));
             }
         }
         Ok(())

@@ -25,12 +25,10 @@ pub struct SecondProjector {
 impl SecondProjector {
     pub(super) fn check(&self) -> Result<(), BadValue> {
         self.projector.check("second_projector.projector")?;
-        if let Some(mirrors) = &self.mirrors {
-            mirrors.check(&self.projector)?;
-        }
-        if let Some(circle) = &self.circle {
-            circle.check("second_projector.circle")?;
-        }
+        let mut mirrors = self.mirrors.iter();
+        mirrors.try_for_each(|mirrors| mirrors.check(&self.projector))?;
+        let mut circle = self.circle.iter();
+        circle.try_for_each(|circle| circle.check("second_projector.circle"))?;
         let key = "second_projector.projector_from_camera";
         self.projector_from_camera.check(key)
     }
@@ -40,29 +38,20 @@ impl HeadModel {
     /// The head with one of its projectors alone, counted from 1. The calibration record applies to both.
     #[must_use]
     pub fn with_projector(&self, number: u8) -> Option<Self> {
-        let all = self.clone();
-        let alone = match (number, &self.second_projector) {
-            (1, None) => return Some(all),
-            (1, Some(_)) => all,
+        let mut alone = self.clone();
+        match (number, alone.second_projector.take()) {
+            (1, None) => return Some(alone),
+            (1, Some(_)) => {}
             (2, Some(second)) => {
-                let second = second.clone();
-                Self {
-                    projector: second.projector,
-                    mirrors: second.mirrors,
-                    projector_circle: second.circle,
-                    projector_from_camera: second.projector_from_camera,
-                    ..all
-                }
+                alone.projector = second.projector;
+                alone.mirrors = second.mirrors;
+                alone.projector_circle = second.circle;
+                alone.projector_from_camera = second.projector_from_camera;
             }
             _ => return None,
-        };
-        Some(Self {
-            second_projector: None,
-            calibration: None,
-            seal: None,
-            self_test: None,
-            ..alone
-        })
+        }
+        (alone.calibration, alone.seal, alone.self_test) = (None, None, None);
+        Some(alone)
     }
 
     /// Number of projectors.

@@ -33,32 +33,26 @@ pub struct Limits {
 
 impl Limits {
     pub(crate) fn check(&self) -> Result<(), BadValue> {
-        let limits = [
-            ("limits.flatness_um", self.flatness_um),
-            ("limits.probing_form_um", self.probing_form_um),
-            ("limits.probing_size_um", self.probing_size_um),
-        ];
-        let where_limited = [
+        let lengths = [
+            ("limits.flatness_um", Some(self.flatness_um)),
+            ("limits.probing_form_um", Some(self.probing_form_um)),
+            ("limits.probing_size_um", Some(self.probing_size_um)),
             ("limits.flatness_cells_um", self.flatness_cells_um),
             ("limits.probing_form_cells_um", self.probing_form_cells_um),
             ("limits.sphere_spacing_um", self.sphere_spacing_um),
         ];
-        let where_limited = where_limited
-            .into_iter()
-            .filter_map(|(key, um)| Some((key, um?)));
-        for (key, got) in limits.into_iter().chain(where_limited) {
-            if !(got > 0.0 && got < 1e6) {
-                return Err(BadValue::new(key, got, "must be positive micrometres"));
-            }
+        for (key, um) in lengths {
+            let got = um.unwrap_or(1.0);
+            let positive = "must be positive micrometres";
+            textfile::require(&[(got > 0.0 && got < 1e6, key, &got, positive)])?;
         }
-        if !(1..=3650).contains(&self.every_days) {
-            return Err(BadValue::new(
-                "limits.every_days",
-                self.every_days,
-                "must be 1 to 3650 days",
-            ));
-        }
-        Ok(())
+        let (days, right) = (self.every_days, "must be 1 to 3650 days");
+        textfile::require(&[(
+            (1..=3650).contains(&days),
+            "limits.every_days",
+            &days,
+            right,
+        )])
     }
 }
 

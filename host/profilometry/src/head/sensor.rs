@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// From counts to electrons: `electrons = (dn - offset_dn) gain_e_per_dn`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,40 +51,17 @@ impl Sensor {
         self.read_noise_e * self.read_noise_e + self.gain_e_per_dn * self.gain_e_per_dn / 12.0
     }
 
+    #[rustfmt::skip]
     pub(super) fn check(&self) -> Result<(), BadValue> {
+        let Self { full_well_e, gain_e_per_dn, read_noise_e, offset_dn, bits } = self;
         let positive = |value: f64| value > 0.0 && value < 1e9;
-        if !positive(self.full_well_e) {
-            return Err(BadValue::new(
-                "sensor.full_well_e",
-                self.full_well_e,
-                "must be positive electrons",
-            ));
-        }
-        if !positive(self.gain_e_per_dn) {
-            return Err(BadValue::new(
-                "sensor.gain_e_per_dn",
-                self.gain_e_per_dn,
-                "must be positive electrons per count",
-            ));
-        }
-        if !(self.read_noise_e >= 0.0 && self.read_noise_e < 1e6) {
-            return Err(BadValue::new(
-                "sensor.read_noise_e",
-                self.read_noise_e,
-                "must be zero or positive electrons",
-            ));
-        }
-        if !(8..=16).contains(&self.bits) {
-            return Err(BadValue::new("sensor.bits", self.bits, "must be 8 to 16"));
-        }
-        if !(self.offset_dn >= 0.0 && self.offset_dn < 0.5 * full_scale_dn(self.bits)) {
-            return Err(BadValue::new(
-                "sensor.offset_dn",
-                self.offset_dn,
-                "must be at least 0 and below half of full scale",
-            ));
-        }
-        Ok(())
+        textfile::require(&[
+            (positive(*full_well_e), "sensor.full_well_e", full_well_e, "must be positive electrons"),
+            (positive(*gain_e_per_dn), "sensor.gain_e_per_dn", gain_e_per_dn, "must be positive electrons per count"),
+            ((0.0..1e6).contains(read_noise_e), "sensor.read_noise_e", read_noise_e, "must be zero or positive electrons"),
+            ((8..=16).contains(bits), "sensor.bits", bits, "must be 8 to 16"),
+            ((0.0..0.5 * full_scale_dn(*bits)).contains(offset_dn), "sensor.offset_dn", offset_dn, "must be at least 0 and below half of full scale"),
+        ])
     }
 }
 

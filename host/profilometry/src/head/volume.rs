@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 
 /// Depths that can be measured, along the camera's axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,22 +15,13 @@ pub struct DepthRange {
 }
 
 impl DepthRange {
+    #[rustfmt::skip]
     pub(super) fn check(&self) -> Result<(), BadValue> {
-        if !(self.near_mm > 0.0 && self.near_mm < 1e6) {
-            return Err(BadValue::new(
-                "volume.near_mm",
-                self.near_mm,
-                "must be in front of the camera (positive)",
-            ));
-        }
-        if !(self.far_mm > self.near_mm && self.far_mm < 1e6) {
-            return Err(BadValue::new(
-                "volume.far_mm",
-                self.far_mm,
-                "must lie beyond near_mm",
-            ));
-        }
-        Ok(())
+        let Self { near_mm, far_mm } = self;
+        textfile::require(&[
+            (*near_mm > 0.0 && *near_mm < 1e6, "volume.near_mm", near_mm, "must be in front of the camera (positive)"),
+            (far_mm > near_mm && *far_mm < 1e6, "volume.far_mm", far_mm, "must lie beyond near_mm"),
+        ])
     }
 }
 
@@ -45,22 +36,13 @@ pub struct ImageCircle {
 }
 
 impl ImageCircle {
+    #[rustfmt::skip]
     pub(super) fn check(&self, name: &str) -> Result<(), BadValue> {
-        if self.centre_px.iter().any(|value| !value.is_finite()) {
-            return Err(BadValue::new(
-                format!("{name}.centre_px"),
-                self.centre_px,
-                "must be finite pixels",
-            ));
-        }
-        if !(self.radius_px > 0.0 && self.radius_px.is_finite()) {
-            return Err(BadValue::new(
-                format!("{name}.radius_px"),
-                self.radius_px,
-                "must be positive",
-            ));
-        }
-        Ok(())
+        let Self { centre_px, radius_px } = self;
+        textfile::require(&[
+            (centre_px.iter().all(|px| px.is_finite()), &format!("{name}.centre_px"), centre_px, "must be finite pixels"),
+            (*radius_px > 0.0 && radius_px.is_finite(), &format!("{name}.radius_px"), radius_px, "must be positive"),
+        ])
     }
 
     /// Whether a pixel lies in it.

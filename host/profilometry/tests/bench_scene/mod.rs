@@ -19,35 +19,27 @@ pub fn head() -> HeadModel {
     let place = [11.0, 0.0, 3.0];
     let translation_mm =
         rotation.map(|row: [f64; 3]| -(0..3).map(|i| row[i] * place[i]).sum::<f64>());
+    let camera = Pinhole {
+        width_px: WIDTH as u32,
+        height_px: HEIGHT as u32,
+        focal_px: [350.0, 352.0],
+        principal_px: [73.2, 49.1],
+        distortion: [-0.12, 0.05, 2e-3, -1e-3, 0.01],
+        residual: None,
+    };
+    let projector = Pinhole {
+        width_px: 1024,
+        height_px: 768,
+        focal_px: [2250.0, 2250.0],
+        principal_px: [511.5, 383.5],
+        distortion: [-0.08, 0.02, -1e-3, 2e-3, 0.0],
+        residual: None,
+    };
+    let projector_from_camera = RigidTransform {
+        rotation,
+        translation_mm,
+    };
     HeadModel {
-        name: "test".to_owned(),
-        working_distance_mm: None,
-        pattern_set: None,
-        fringes: Vec::new(),
-        exposures_us: vec![],
-        binning: 1,
-        camera: Pinhole {
-            width_px: WIDTH as u32,
-            height_px: HEIGHT as u32,
-            focal_px: [350.0, 352.0],
-            principal_px: [73.2, 49.1],
-            distortion: [-0.12, 0.05, 2e-3, -1e-3, 0.01],
-            residual: None,
-        },
-        projector: Pinhole {
-            width_px: 1024,
-            height_px: 768,
-            focal_px: [2250.0, 2250.0],
-            principal_px: [511.5, 383.5],
-            distortion: [-0.08, 0.02, -1e-3, 2e-3, 0.0],
-            residual: None,
-        },
-        projector_from_camera: RigidTransform {
-            rotation,
-            translation_mm,
-        },
-        second_projector: None,
-        stage_from_camera: None,
         sensor: Some(Sensor {
             full_well_e: 60_000.0,
             gain_e_per_dn: 1.0,
@@ -59,16 +51,7 @@ pub fn head() -> HeadModel {
             near_mm: 20.0,
             far_mm: 24.0,
         }),
-        image_circle: None,
-        cores: None,
-        calibration: None,
-        self_test: None,
-        seal: None,
-        core_map: None,
-        mirrors: None,
-        projector_circle: None,
-        fringe_contrast: None,
-        lens: None,
+        ..HeadModel::from_lenses("test", camera, projector, projector_from_camera)
     }
 }
 

@@ -131,72 +131,41 @@ impl RecordedIndex for FrameIndex {
         self.view.clone()
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        if let Some(degc) = self.tool_temperature_degc
-            && !(-273.15..=2000.0).contains(&degc)
-        {
-            let expected = "must be degrees Celsius";
-            return Err(BadValue::new("tool_temperature_degc", degc, expected));
-        }
-        if self.lit_ratios.len() > MAX_FRINGE_SETS {
-            let expected = "must be at most 12 passes";
-            return Err(BadValue::new("lit_ratios", self.lit_ratios.len(), expected));
-        }
-        let is_none = |ratio: &&f64| !(**ratio > 0.0 && **ratio <= 1.0);
-        if let Some(ratio) = self.lit_ratios.iter().find(is_none) {
-            let expected = "must be shares of all mirrors' light, above 0 and at most 1";
-            return Err(BadValue::new("lit_ratios", ratio, expected));
-        }
-        Ok(())
+        let degc = self.tool_temperature_degc.unwrap_or(0.0);
+        let passes = self.lit_ratios.len();
+        let no_share = self.lit_ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0));
+        textfile::require(&[
+            ((-273.15..=2000.0).contains(&degc), "tool_temperature_degc", &degc, "must be degrees Celsius"),
+            (passes <= MAX_FRINGE_SETS, "lit_ratios", &passes, "must be at most 12 passes"),
+            (no_share.is_none(), "lit_ratios", &no_share.unwrap_or(&1.0), "must be shares of all mirrors' light, above 0 and at most 1"),
+        ])
     }
 }
 
 impl IndexedView {
     /// Checks its entries; `at` is its position in the index.
+    #[rustfmt::skip]
     fn check(&self, at: usize) -> Result<(), BadValue> {
-        let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
-            Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
-        };
-        if self.tooth.is_none() && self.rotation_rad.is_none() {
-            let expected = "must name the tooth in the middle, or the angle in rotation_rad";
-            return bad("tooth", &"nothing", expected);
-        }
-        if let Some(angle) = self.rotation_rad
-            && !within(angle, FARTHEST_RAD)
-        {
-            return bad("rotation_rad", &angle, "must be radians");
-        }
-        if let Some(height) = self.vertical_mm
-            && !within(height, LONGEST_MM)
-        {
-            return bad("vertical_mm", &height, "must be millimetres");
-        }
-        if !stays_inside(&self.folder) {
-            let expected = "must be a folder in that of the images, without ..; name another place by images = \"DIR\"";
-            return bad("folder", &self.folder, expected);
-        }
-        let clocks = [
-            ("triggered_us", &self.triggered_us),
-            ("exposed_us", &self.exposed_us),
-        ];
-        for (name, times) in clocks {
-            let forward = times.iter().all(|[start, end]| start <= end)
-                && times.windows(2).all(|pair| pair[0][1] <= pair[1][0]);
-            if !forward {
-                let expected = "must be start and end of every frame, each after the one before";
-                return bad(name, &"times that go back", expected);
-            }
-        }
-        if self.triggered_us.len() != self.exposed_us.len() {
-            let expected = "must have as many entries as triggered_us";
-            return bad("exposed_us", &self.exposed_us.len(), expected);
-        }
-        let is_hash =
-            |text: &String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
-        match self.blake3.iter().find(|text| !is_hash(text)) {
-            Some(text) => bad("blake3", text, "must be 64 hexadecimal digits"),
-            None => Ok(()),
-        }
+        let key = |name: &str| format!("view[{at}].{name}");
+        let (angle_rad, height_mm) = (self.rotation_rad.unwrap_or(0.0), self.vertical_mm.unwrap_or(0.0));
+        let is_placed = self.tooth.is_some() || self.rotation_rad.is_some();
+        let forward = |times: &[[u64; 2]]| times.as_flattened().is_sorted();
+        let (in_order, back) = ("must be start and end of every frame, each after the one before", &"times that go back");
+        let exposed = self.exposed_us.len();
+        let is_hash = |text: &&String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+        let no_hash = self.blake3.iter().find(|text| !is_hash(text));
+        textfile::require(&[
+            (is_placed, &key("tooth"), &"nothing", "must name the tooth in the middle, or the angle in rotation_rad"),
+            (within(angle_rad, FARTHEST_RAD), &key("rotation_rad"), &angle_rad, "must be radians"),
+            (within(height_mm, LONGEST_MM), &key("vertical_mm"), &height_mm, "must be millimetres"),
+            (stays_inside(&self.folder), &key("folder"), &self.folder, "must be a folder in that of the images, without ..; name another place by images = \"DIR\""),
+            (forward(&self.triggered_us), &key("triggered_us"), back, in_order),
+            (forward(&self.exposed_us), &key("exposed_us"), back, in_order),
+            (self.triggered_us.len() == exposed, &key("exposed_us"), &exposed, "must have as many entries as triggered_us"),
+            (no_hash.is_none(), &key("blake3"), &no_hash.map_or("", String::as_str), "must be 64 hexadecimal digits"),
+        ])
     }
 }
 

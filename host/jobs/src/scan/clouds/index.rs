@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use flankscope_foundation::date::Date;
-use flankscope_foundation::textfile::BadValue;
+use flankscope_foundation::textfile::{self, BadValue};
 use flankscope_metrology::io::Unit;
 use serde::{Deserialize, Serialize};
 
@@ -72,22 +72,16 @@ impl RecordedIndex for CloudIndex {
         self.view.iter().map(place).collect()
     }
 
+    #[rustfmt::skip]
     fn check(&self) -> Result<(), BadValue> {
-        if let Some(sigma_um) = self.sigma_um
-            && !(SIGMA_UM[0]..=SIGMA_UM[1]).contains(&sigma_um)
-        {
-            let expected = "must be micrometres, 0.001 to 1000";
-            return Err(BadValue::new("sigma_um", sigma_um, expected));
+        let sigma_um = self.sigma_um.unwrap_or(1.0);
+        let in_range = (SIGMA_UM[0]..=SIGMA_UM[1]).contains(&sigma_um);
+        textfile::require(&[(in_range, "sigma_um", &sigma_um, "must be micrometres, 0.001 to 1000")])?;
+        for (at, IndexedCloud { file, .. }) in self.view.iter().enumerate() {
+            let key = format!("view[{at}].file");
+            textfile::require(&[(stays_inside(file), &key, file, "must be a file in the folder of clouds.toml, without ..")])?;
         }
-        let mut views = self.view.iter().enumerate();
-        match views.find(|(_, view)| !stays_inside(&view.file)) {
-            Some((at, view)) => Err(BadValue::new(
-                format!("view[{at}].file"),
-                &view.file,
-                "must be a file in the folder of clouds.toml, without ..",
-            )),
-            None => Ok(()),
-        }
+        Ok(())
     }
 }
 

@@ -297,6 +297,7 @@ pub fn evaluate(
 }
 
 fn check(gear: &GearData, settings: &EvaluationSettings) -> Result<(), GearEvaluationError> {
+    let refuse = |key, value, right| Err(GearEvaluationError::Setting { key, value, right });
     let width = gear.height_mm[1] - gear.height_mm[0];
     for (key, value, least, most) in [
         ("module_mm", gear.module_mm, 0.5, 70.0),
@@ -312,22 +313,16 @@ fn check(gear: &GearData, settings: &EvaluationSettings) -> Result<(), GearEvalu
             });
         }
     }
+    let cumulative = settings.of_quantity(Quantity::CumulativePitch);
     let positive = [
         ("capture_mm", settings.capture_mm),
         ("band_mm", settings.band_mm),
         ("u95_um", settings.u95_um),
-        (
-            "cumulative_u95_um",
-            settings.of_quantity(Quantity::CumulativePitch).u95_um,
-        ),
+        ("cumulative_u95_um", cumulative.u95_um),
     ];
     for (key, value) in positive {
         if !(value > 0.0 && value.is_finite()) {
-            return Err(GearEvaluationError::Setting {
-                key,
-                value,
-                right: "a positive number",
-            });
+            return refuse(key, value, "a positive number");
         }
     }
     let base = gear.base_radius_mm();
@@ -337,39 +332,26 @@ fn check(gear: &GearData, settings: &EvaluationSettings) -> Result<(), GearEvalu
         ("a radius of the profile slope", slope),
     ] {
         if let Some(&value) = radii.iter().find(|r| !(**r > base && r.is_finite())) {
-            return Err(GearEvaluationError::Setting {
-                key,
-                value,
-                right: "a radius outside the base circle",
-            });
+            return refuse(key, value, "a radius outside the base circle");
         }
     }
     let [low, high] = slope;
     if low == high {
-        return Err(GearEvaluationError::Setting {
-            key: "a radius of the profile slope",
-            value: low,
-            right: "two different radii",
-        });
+        return refuse("a radius of the profile slope", low, "two different radii");
     }
     let (inner, outer) = ends([gear.tip_radius_mm, gear.root_radius_mm]);
     for value in settings.usable_mm {
         if !(inner..=outer).contains(&value) {
-            return Err(GearEvaluationError::Setting {
-                key: "a usable radius",
-                value,
-                right: "a radius between tip and root circle",
-            });
+            let right = "a radius between tip and root circle";
+            return refuse("a usable radius", value, right);
         }
     }
     let (low, high) = ends(settings.usable_mm);
     let pitch = gear.pitch_radius_mm();
     if !(low < pitch && pitch < high) {
-        return Err(GearEvaluationError::Setting {
-            key: "a usable radius",
-            value: if low >= pitch { low } else { high },
-            right: "radii on both sides of the pitch circle",
-        });
+        let value = if low >= pitch { low } else { high };
+        let right = "radii on both sides of the pitch circle";
+        return refuse("a usable radius", value, right);
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use super::model::{BoardModel, COORDINATES, Free, PROJECTOR, observations};
 use super::uncertainty::{Parameter, parameters, scatter_of_points_mm};
 use super::{BoardError, BoardMark, BoardView, Geometry, closed_form};
 use crate::calibrate::bundle::{
-    Bundle, FIRST_SIGMA_PX, MAX_STEPS, Observation, Reweighting, mean_squares_px2, settle,
+    Bundle, FIRST_SIGMA_PX, MAX_STEPS, Observation, Reweighting, beyond, mean_squares_px2, settle,
 };
 use crate::calibrate::least_squares::{NoMinimum, SETTLED, minimise};
 use crate::calibrate::rig::{ImagePoint, Rig, transform};
@@ -358,21 +358,20 @@ impl PoseReport {
 }
 
 fn check_fit(rms_px: [f64; 2]) -> Result<(), BoardError> {
-    for ((what, got_px), limit_px) in ["camera", "projector"]
-        .into_iter()
-        .zip(rms_px)
-        .zip(LIMIT_PX)
-    {
-        // Written so that a NaN fails.
-        if !(got_px <= limit_px) {
-            return Err(BoardError::Residual {
-                what,
-                got_px,
-                limit_px,
-            });
-        }
+    match beyond([0, 1].map(|image| {
+        (
+            ["camera", "projector"][image],
+            rms_px[image],
+            LIMIT_PX[image],
+        )
+    })) {
+        None => Ok(()),
+        Some((what, got_px, limit_px)) => Err(BoardError::Residual {
+            what,
+            got_px,
+            limit_px,
+        }),
     }
-    Ok(())
 }
 
 fn check_determined(rig: &Rig, covariance: &DMatrix<f64>) -> Result<(), BoardError> {
@@ -388,16 +387,13 @@ fn check_determined(rig: &Rig, covariance: &DMatrix<f64>) -> Result<(), BoardErr
             ("principal point", sigma(2) / size, PRINCIPAL_LIMIT),
             ("principal point", sigma(3) / size, PRINCIPAL_LIMIT),
         ];
-        for (unknown, sigma, limit) in checks {
-            // Written so that a NaN fails.
-            if !(sigma <= limit) {
-                return Err(BoardError::Degenerate {
-                    what,
-                    unknown,
-                    sigma,
-                    limit,
-                });
-            }
+        if let Some((unknown, sigma, limit)) = beyond(checks) {
+            return Err(BoardError::Degenerate {
+                what,
+                unknown,
+                sigma,
+                limit,
+            });
         }
     }
     Ok(())
