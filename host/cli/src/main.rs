@@ -23,6 +23,7 @@ mod geometry;
 mod grid;
 mod help;
 mod history;
+mod init;
 mod inspect;
 mod instrument;
 mod interrupt;
@@ -64,6 +65,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Init(init::Args),
     Inspect(inspect::Args),
     Watch(watch::Args),
     Scan(Box<scan::Args>),
@@ -142,6 +144,7 @@ fn main() -> ExitCode {
         .with(filter)
         .init();
     let result = match cli.command {
+        Command::Init(args) => init::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Watch(args) => watch::run(&args),
         Command::Scan(args) => scan::run(&args),

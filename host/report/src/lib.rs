@@ -21,6 +21,7 @@ mod words;
 pub use check::html;
 pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};
+pub use ring::numbered_ring;
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 pub use words::Words;

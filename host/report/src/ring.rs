@@ -1,5 +1,6 @@
 //! The toothing seen from above, with every judged flank in the colour of its verdict.
 
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 use flankscope_metrology::gear::{Flank, GearData, GearKind};
@@ -134,6 +135,62 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
         enlarged(&mut svg, of, features, worst);
     }
     svg + "</svg>"
+}
+
+/// The toothing of a new tool from above, as a picture of its own: all teeth numbered as far as there is room, tooth 1 and those
+/// that are inspected marked.
+#[must_use]
+pub fn numbered_ring(gear: &GearData, inspected: &[u32]) -> String {
+    let outer_mm = gear.root_radius_mm.max(gear.tip_radius_mm);
+    let scale = OUTER / outer_mm;
+    let sides = Flank::BOTH.map(|flank| profile(gear, flank));
+    let outline_of = |tooth: u32| {
+        let centre = gear.tooth_centre_rad(tooth);
+        let points = sides[1].iter().rev().chain(&sides[0]);
+        points.map(move |&[radius, angle]| at(scale, [radius, centre + angle]))
+    };
+    let mut svg = format!(
+        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {SIZE} {SIZE}" font-family="sans-serif" font-size="10"><rect width="{SIZE}" height="{SIZE}" fill="white"/><path d="{}z" fill="none" stroke="black" stroke-width="0.6"/>"#,
+        path((1..=gear.teeth).flat_map(outline_of))
+    );
+    // A number takes some 14 px of the circle.
+    let every = (14.0 * f64::from(gear.teeth) / (TAU * OUTER))
+        .ceil()
+        .max(1.0) as u32;
+    let every = if every == 1 {
+        1
+    } else {
+        every.next_multiple_of(5)
+    };
+    for tooth in 1..=gear.teeth {
+        let is_inspected = inspected.contains(&tooth);
+        if is_inspected || tooth == 1 {
+            let colour = if is_inspected { "#d55e00" } else { "#0072b2" };
+            let _ = write!(
+                svg,
+                r#"<path d="{}" fill="none" stroke="{colour}" stroke-width="3"/>"#,
+                path(outline_of(tooth))
+            );
+        }
+        if is_inspected || tooth == 1 || tooth % every == 0 {
+            let [x, y] = at(1.0, [OUTER + 14.0, gear.tooth_centre_rad(tooth)]);
+            let weight = if is_inspected || tooth == 1 { 700 } else { 400 };
+            let _ = write!(
+                svg,
+                r#"<text x="{x:.1}" y="{:.1}" text-anchor="middle" font-weight="{weight}">{tooth}</text>"#,
+                y + 4.0
+            );
+        }
+    }
+    let [x, y] = at(1.0, [OUTER * 0.72, 0.0]);
+    let _ = write!(
+        svg,
+        r##"<path d="M{MIDDLE} {MIDDLE}H{x:.1}" stroke="#777" stroke-width="0.6"/><text x="{x:.1}" y="{:.1}" text-anchor="end" fill="#555">x</text><text x="{MIDDLE}" y="{:.1}" text-anchor="middle">{} teeth, from above</text></svg>"##,
+        y - 4.0,
+        MIDDLE + 40.0,
+        gear.teeth
+    );
+    svg
 }
 
 /// One tooth enlarged, in the orientation at the top of the ring: flanks by side, and the position of the largest loss on the profile.

@@ -341,7 +341,7 @@ impl GearData {
 }
 
 /// inv a = tan a - a for the angle with the given cosine; none when that is above 1.
-fn involute(cosine: f64) -> Option<f64> {
+pub(crate) fn involute(cosine: f64) -> Option<f64> {
     (0.0..=1.0)
         .contains(&cosine)
         .then(|| cosine.acos())

@@ -2,6 +2,7 @@
 
 mod as_built;
 mod check;
+pub mod gear_in_cad;
 mod patch_file;
 
 use std::path::{Path, PathBuf};

@@ -174,7 +174,7 @@ fn a_camera_that_never_ends_is_given_up_and_fills_no_memory() {
         let begun = Instant::now();
         recorder.drain();
         recorder.close();
-        assert!(begun.elapsed() < 3 * DRAINING, "{:?}", begun.elapsed());
+        assert!(begun.elapsed() < 20 * DRAINING, "{:?}", begun.elapsed());
         let mut views = 0;
         while let Ok(Recorded::View(view)) = recorded.try_recv() {
             let foreign = matches!(
