@@ -513,13 +513,13 @@ fn formats_agree() {
     assert!((table.extras[0].get(0).unwrap() - 6f64.sqrt()).abs() < 1e-6);
 }
 
-/// A name says what is written, or nothing is: points are no STL, and no text.
+/// A name says what is written, or nothing is: points are no STL.
 #[test]
 fn endings_that_are_not_written_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     write_xyz(&folder.join("cloud.xyz"), &[[1.0, 2.0, 3.0]; 20]);
-    for name in ["out.stl", "out.xyz", "out.PLYX"] {
+    for name in ["out.stl", "out.txt", "out.PLYX"] {
         let args = ["merge", "cloud.xyz", "--voxel-mm", "1", "-o", name];
         let output = flankscope(folder, &args);
         assert_eq!(output.status.code(), Some(3), "{name}: {output:?}");
@@ -527,7 +527,7 @@ fn endings_that_are_not_written_are_refused() {
         assert!(said.contains(name) && said.contains("name.ply"), "{said}");
         assert!(!folder.join(name).exists());
     }
-    for name in ["out.ply", "out.NPZ", "out"] {
+    for name in ["out.ply", "out.NPZ", "out.xyz", "out"] {
         let args = ["merge", "cloud.xyz", "--voxel-mm", "1", "-o", name];
         assert_eq!(flankscope(folder, &args).status.code(), Some(0), "{name}");
         assert!(folder.join(name).exists());
