@@ -1,6 +1,5 @@
 //! `flankscope clean`: crops, denoises and thins a cloud.
 
-use std::collections::HashSet;
 use std::path::PathBuf;
 
 use flankscope_metrology::cloud::{merge, outlier};
@@ -8,7 +7,7 @@ use flankscope_metrology::io::cloud::Cloud;
 use flankscope_metrology::io::points::Format;
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, load_cloud, tell, write_file};
+use crate::geometry::{CloudUnit, load_cloud, numbers, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Crop, denoise and thin a cloud; the points that stay keep their order and all of their properties.
@@ -51,19 +50,6 @@ struct Report {
     thinned: usize,
 }
 
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let parsed: Result<Vec<f64>, _> = text.split(',').map(|x| x.trim().parse::<f64>()).collect();
-    let numbers = parsed.map_err(|_| format!("{text:?} is no list of numbers"))?;
-    let got = numbers.len();
-    let numbers: [f64; N] = numbers
-        .try_into()
-        .map_err(|_| format!("{N} numbers are needed, not {got}"))?;
-    match numbers.iter().all(|x| x.is_finite()) {
-        true => Ok(numbers),
-        false => Err(format!("{text:?} holds a number that is not finite")),
-    }
-}
-
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.check()?;
@@ -81,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let (cropped, outliers, thinned);
     (cropped, cloud) = stage(args.inside(&cloud), cloud);
     (outliers, cloud) = stage(args.near(&cloud), cloud);
-    (thinned, cloud) = stage(args.thin(&cloud), cloud);
+    (thinned, cloud) = stage(args.thin(&cloud)?, cloud);
     let count = cloud.points.len();
     anyhow::ensure!(
         count > 0,
@@ -153,32 +139,24 @@ impl Args {
         Some(outlier::statistical(&cloud.points, k as usize, sigmas))
     }
 
-    fn thin(&self, cloud: &Cloud) -> Option<Vec<bool>> {
+    fn thin(&self, cloud: &Cloud) -> anyhow::Result<Option<Vec<bool>>> {
+        let count = cloud.points.len();
         if let Some(share) = self.share {
             // Point number i stays where the count of those to keep grows.
             let before = |i: usize| (share * i as f64).floor();
-            return Some(
-                (0..cloud.points.len())
-                    .map(|i| before(i + 1) > before(i))
-                    .collect(),
-            );
+            return Ok(Some(
+                (0..count).map(|i| before(i + 1) > before(i)).collect(),
+            ));
         }
-        let voxel_mm = self.voxel_mm?;
-        let low: [f64; 3] = std::array::from_fn(|k| {
-            cloud
-                .points
-                .iter()
-                .map(|p| p[k])
-                .fold(f64::INFINITY, f64::min)
-        });
-        let mut taken = HashSet::new();
-        let voxel = |p: &[f64; 3]| [0, 1, 2].map(|k| ((p[k] - low[k]) / voxel_mm).floor() as i64);
-        Some(
-            cloud
-                .points
-                .iter()
-                .map(|point| taken.insert(voxel(point)))
-                .collect(),
-        )
+        let Some(voxel_mm) = self.voxel_mm else {
+            return Ok(None);
+        };
+        let mut kept = vec![false; count];
+        for group in merge::voxel_groups(&cloud.points, voxel_mm)? {
+            if let Some(&first) = group.first() {
+                kept[first as usize] = true;
+            }
+        }
+        Ok(Some(kept))
     }
 }

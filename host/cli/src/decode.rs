@@ -39,7 +39,7 @@ pub struct Args {
     /// head.toml, or an OpenCV calibration (XML or YAML with Kc kc Kp kp Rp Tp).
     #[arg(long, value_name = "FILE")]
     head: PathBuf,
-    /// Write the cloud here: binary PLY, or arrays for NumPy (name.npz).
+    /// Write the cloud here: binary PLY, text (name.xyz) or arrays for NumPy (name.npz).
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     /// Which of two projectors showed the patterns.

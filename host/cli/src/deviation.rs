@@ -32,7 +32,7 @@ pub struct Args {
     /// Order of the Minkowski distance, a number from 1 on or inf, for `--metric nearest`.
     #[arg(long, value_name = "P", default_value_t = Order::Two)]
     order: Order,
-    /// Write the cloud, points in their order, with `deviation` of every point in mm, as binary PLY or as arrays for NumPy (name.npz).
+    /// Write the cloud, points in their order, with `deviation` of every point in mm, as binary PLY, text (name.xyz) or arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{PROBABILITY, Word, holds_class};
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, load_cloud};
+use crate::geometry::{CloudUnit, load_cloud, numbers};
 use crate::output::{Common, Outcome};
 
 /// Evaluate profile, helix, pitch and runout deviations of every tooth in a cloud, as ISO 1328-1 defines them.
@@ -39,10 +39,10 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = Axis::Tool)]
     axis: Axis,
     /// Profile control radius and tip form radius: the flank between root rounding and tip edge [default: the active flank].
-    #[arg(long, value_name = "A,B", value_parser = two_radii)]
+    #[arg(long, value_name = "A,B", value_parser = numbers::<2>)]
     usable_mm: Option<[f64; 2]>,
     /// Radii between which f_H_alpha is stated [default: profile control radius and tip radius].
-    #[arg(long, value_name = "A,B", value_parser = two_radii)]
+    #[arg(long, value_name = "A,B", value_parser = numbers::<2>)]
     slope_mm: Option<[f64; 2]>,
     /// Largest distance of a profile's points from mid face.
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
@@ -79,19 +79,6 @@ struct Report<'a> {
     probability: f64,
     #[serde(flatten)]
     evaluation: &'a GearEvaluation,
-}
-
-fn two_radii(text: &str) -> Result<[f64; 2], String> {
-    let radii: Vec<f64> = text
-        .split(',')
-        .map(|radius| {
-            radius
-                .trim()
-                .parse()
-                .map_err(|_| format!("{radius:?} is no radius"))
-        })
-        .collect::<Result<_, _>>()?;
-    <[f64; 2]>::try_from(radii).map_err(|got| format!("two radii are needed, not {}", got.len()))
 }
 
 /// Runs the subcommand.

@@ -174,3 +174,17 @@ pub fn tell(common: &Common, line: impl FnOnce() -> String) {
 pub fn milliseconds(from: Instant, to: Instant) -> f64 {
     1e3 * to.duration_since(from).as_secs_f64()
 }
+
+/// Parses so many finite numbers with commas between them: the value of an option.
+pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let parsed: Result<Vec<f64>, _> = text.split(',').map(|x| x.trim().parse::<f64>()).collect();
+    let numbers = parsed.map_err(|_| format!("{text:?} is no list of numbers"))?;
+    let got = numbers.len();
+    let numbers: [f64; N] = numbers
+        .try_into()
+        .map_err(|_| format!("{N} numbers are needed, not {got}"))?;
+    match numbers.iter().all(|x| x.is_finite()) {
+        true => Ok(numbers),
+        false => Err(format!("{text:?} holds a number that is not finite")),
+    }
+}

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use flankscope_metrology::gear::{GearData, GearKind};
+use flankscope_metrology::gear::GearData;
 use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::tool::gear_in_cad::{FoundGear, find_gear};
 use flankscope_metrology::tool::{FILE_NAME, Tool};
@@ -194,34 +194,33 @@ impl Args {
             .and_then(|stem| stem.to_str())
             .unwrap_or("die");
         let name = self.name.as_deref().unwrap_or(stem);
-        let kind = match gear.kind {
-            GearKind::Internal => "internal",
-            GearKind::External => "external",
+        // Millimetres and degrees to a millionth.
+        let gear = GearData {
+            module_mm: rounded(gear.module_mm),
+            pressure_angle_deg: rounded(gear.pressure_angle_deg),
+            tip_radius_mm: rounded(gear.tip_radius_mm),
+            root_radius_mm: rounded(gear.root_radius_mm),
+            first_tooth_centre_deg: rounded(gear.first_tooth_centre_deg),
+            height_mm: gear.height_mm.map(rounded),
+            radial_threshold_mm: rounded(gear.radial_threshold_mm),
+            ..gear.clone()
         };
         let quoted = |text: &str| toml::Value::from(text).to_string();
         let teeth: Vec<String> = teeth.iter().map(u32::to_string).collect();
-        let [low, high] = gear.height_mm.map(rounded);
+        let [low, high] = gear.height_mm;
         Ok(format!(
             "# Made by `flankscope init`; docs/formats/tool.md has every key.\n\
-             name = {name}\n# serial = \"...\"   # of this die, so that its history stays with it\n\n\
-             [cad]\nfile = {cad}\nunit = \"mm\"\nchord_error_um = {chord_error_um}   # facets lie within it of the involute\n\n\
-             [gear]   # found in the CAD; teeth and spaces are equally wide on the pitch circle\n\
-             kind = \"{kind}\"\nteeth = {}\nmodule_mm = {}\npressure_angle_deg = {}\ntip_radius_mm = {}\nroot_radius_mm = {}\n\
-             first_tooth_centre_deg = {}   # the others follow anticlockwise, seen from +z; see {RING}\nheight_mm = [{low:?}, {high:?}]\n\
-             radial_threshold_mm = {}\n\n\
+             name = {}\n# serial = \"...\"   # of this die, so that its history stays with it\n\n\
+             [cad]\nfile = {}\nunit = \"mm\"\nchord_error_um = {chord_error_um}   # facets lie within it of the involute\n\n\
+             # Found in the CAD. Teeth and spaces are equally wide on the pitch circle; teeth follow the first one anticlockwise, seen\n\
+             # from +z ({RING}).\n[gear]\n{}\n\
              [inspect]\nteeth = [{}]\nheight_mm = {:?}   # where the head looks\nwarn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n\
              # as_built_um = 5.0   # standard uncertainty of the flanks' form as built; without it the CAD is taken as true\n",
-            gear.teeth,
-            rounded(gear.module_mm),
-            rounded(gear.pressure_angle_deg),
-            rounded(gear.tip_radius_mm),
-            rounded(gear.root_radius_mm),
-            rounded(gear.first_tooth_centre_deg),
-            rounded(gear.radial_threshold_mm),
+            quoted(name),
+            quoted(&cad),
+            toml::to_string(&gear)?,
             teeth.join(", "),
             0.5 * (low + high),
-            name = quoted(name),
-            cad = quoted(&cad),
         ))
     }
 
@@ -251,7 +250,6 @@ impl Args {
     }
 }
 
-/// Millimetres or degrees to a millionth: a nanometre.
 fn rounded(value: f64) -> f64 {
     (1e6 * value).round() / 1e6
 }

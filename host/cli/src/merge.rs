@@ -27,7 +27,7 @@ pub struct Args {
     /// Edge of the cubes, counted from the smallest coordinates of all clouds.
     #[arg(long, value_name = "S")]
     voxel_mm: f64,
-    /// Write the merged cloud, as binary PLY or as arrays for NumPy (name.npz), in double precision if any of the clouds is.
+    /// Write the merged cloud, as binary PLY, text (name.xyz) or arrays for NumPy (name.npz), in double precision if any of the clouds is.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -60,7 +60,7 @@ pub struct Args {
     /// Fit to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
-    /// Write the cloud in CAD coordinates, as binary PLY or as arrays for NumPy (name.npz); only if it was registered.
+    /// Write the cloud in CAD coordinates, as binary PLY, text (name.xyz) or arrays for NumPy (name.npz); only if it was registered.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

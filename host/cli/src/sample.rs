@@ -25,7 +25,7 @@ pub struct Args {
     /// Seed; the same seed gives the same file.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Points as binary PLY, or as arrays for NumPy (name.npz).
+    /// Points as binary PLY, text (name.xyz) or arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

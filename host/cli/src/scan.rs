@@ -95,7 +95,7 @@ pub struct Args {
     /// Vertex spacing of that mesh along the profile and the axis [default: that of map.ply]
     #[arg(long, value_name = "MM", requires = "mesh")]
     mesh_mm: Option<f64>,
-    /// Write every measured point of every view in its final pose in the tool frame, as a binary PLY or as arrays for NumPy
+    /// Write every measured point of every view in its final pose in the tool frame, as a binary PLY, text (name.xyz) or arrays for NumPy
     /// (name.npz): a whole die is 42 million points, 0.8 GB
     #[arg(long, value_name = "FILE")]
     cloud: Option<PathBuf>,

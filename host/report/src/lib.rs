@@ -102,7 +102,7 @@ pub fn with_micro(text: &str) -> String {
             .last()
             .is_none_or(|c| !c.is_alphanumeric() && !['_', '-', '"'].contains(&c))
             // The value of an option is shown as it is typed.
-            && !before.ends_with("-unit ");
+            && !before.split(' ').rev().nth(1).is_some_and(|word| word.starts_with("--"));
         let ends = after
             .chars()
             .next()

@@ -1,10 +1,11 @@
 //! Datum surfaces that the workpiece never touches: a patch's datum, or bands of the flanks above or below the judged zone.
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
+use flankscope_metrology::feature::Features;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
-use flankscope_metrology::patch::Patches;
+use flankscope_metrology::patch::{Patch, Patches};
 use flankscope_metrology::surface::{Closest, Surface};
-use flankscope_metrology::tool::Datum;
+use flankscope_metrology::tool::{Datum, Tool};
 use flankscope_metrology::verdict::{Code, Reason};
 use nalgebra::{Point3, Vector3};
 
@@ -19,11 +20,32 @@ const STEP_MM: f64 = 0.05;
 /// they would hold the view along a plane, which no point of a plane can, and only as well as an edge is known.
 const RIM_MM: f64 = 0.15;
 
+/// Selects the points (tool frame, mm) that the pose may rest on while these teeth, or this patch, are judged.
+pub(super) fn used(
+    tool: &Tool,
+    judged: &[u32],
+    surface: &Surface,
+    points: &[[f64; 3]],
+) -> Vec<bool> {
+    let inspect = tool.inspect.as_ref();
+    match tool.features() {
+        Features::Gear(gear) => {
+            let bands_mm = inspect.map_or(&[][..], |inspect| &inspect.datum_height_mm);
+            let datum = inspect.map(|inspect| inspect.datum).unwrap_or_default();
+            on_gear(datum, bands_mm, gear, judged, points)
+        }
+        Features::Patches(patches) => {
+            let judged = judged.first().and_then(|&patch| patches.get(patch));
+            within(patches, judged, surface, points)
+        }
+    }
+}
+
 /// Selects the points on a gear (tool frame, mm) that the pose may rest on while these teeth are judged. Judged flanks are
 /// excluded: their wear would pull the pose towards them and hide part of itself (a fifth, for 10 µm on one of seven flanks in
 /// view). The whole judged tooth is excluded, because wear at the ends of a flank extends into what would count as a land. If
 /// the tool file names bands of height, points on flanks within them are used alone, also on judged teeth.
-pub(super) fn on_gear(
+fn on_gear(
     datum: Datum,
     bands_mm: &[[f64; 2]],
     gear: &GearData,
@@ -47,13 +69,12 @@ pub(super) fn on_gear(
 }
 
 /// Selects the points inside the datum of a patch (tool frame, mm).
-pub(super) fn within(
+fn within(
     patches: &Patches,
-    patch: u32,
+    judged: Option<&Patch>,
     surface: &Surface,
     points: &[[f64; 3]],
 ) -> Vec<bool> {
-    let judged = patches.get(patch);
     let closest = surface.closest_many(points);
     let on = closest.iter().map(|at| {
         let (number, patch) = patches.at(at.triangle, at.point)?;

@@ -14,7 +14,7 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Reason, Word};
 use flankscope_metrology::wear::sensitivity::FittedView;
-use flankscope_metrology::wear::{self, FlankWear, Measured, WearSettings, Zone};
+use flankscope_metrology::wear::{self, ANY_POSE_MM, FlankWear, Measured, WearSettings, Zone};
 use flankscope_record::document::{Feature, FlankInView};
 use nalgebra::Matrix6;
 use serde::Serialize;
@@ -26,10 +26,6 @@ use super::verdict::{self, Judged};
 use super::views::EvaluatorError;
 use super::{datum, die_size};
 use crate::plan::{PatchViewError, PlanningError, ViewPlan};
-
-/// Standard uncertainty of the tool's place in the cloud's coordinates that only the flanks reduce, mm: wider than any wear of a
-/// usable gear, narrow enough for steps of the integral over it below a micrometre.
-const ANYWHERE_MM: f64 = 0.1;
 
 /// A cloud of another scanner.
 #[derive(Clone, Copy, Debug)]
@@ -210,7 +206,7 @@ impl Judging<'_> {
                     initial: rough.tool_from_cloud,
                     ..options
                 };
-                let used = self.are_datum(numbers, &moved(points, &rough));
+                let used = datum::used(tool, numbers, &tool.surface, &moved(points, &rough));
                 let datum = points.iter().zip(&used).filter(|(_, used)| **used);
                 let datum: Vec<[f64; 3]> = datum.map(|(point, _)| *point).collect();
                 let registration = register(&tool.surface, &datum, None, &options);
@@ -274,23 +270,6 @@ impl Judging<'_> {
             })
             .collect())
     }
-
-    /// Selects the points (tool frame) that the pose may rest on.
-    fn are_datum(&self, numbers: &[u32], points: &[[f64; 3]]) -> Vec<bool> {
-        let tool = &self.criteria.tool;
-        let inspect = tool.inspect.as_ref();
-        match (tool.features(), inspect) {
-            (Features::Gear(gear), Some(inspect)) => {
-                let bands = &inspect.datum_height_mm;
-                datum::on_gear(inspect.datum, bands, gear, numbers, points)
-            }
-            (Features::Gear(_), None) => vec![true; points.len()],
-            (Features::Patches(patches), _) => {
-                let patch = numbers.first().copied().unwrap_or_default();
-                datum::within(patches, patch, &tool.surface, points)
-            }
-        }
-    }
 }
 
 impl CloudPose {
@@ -315,6 +294,6 @@ fn moved(points: &[[f64; 3]], by: &Registration) -> Vec<[f64; 3]> {
 
 /// What is known of the pose before the fit: nearly nothing.
 fn anywhere(found: &Registration) -> Prior {
-    let turn_rad = ANYWHERE_MM / found.arm_mm;
-    Prior::independent(found.tool_from_cloud, [turn_rad; 3], [ANYWHERE_MM; 3])
+    let turn_rad = ANY_POSE_MM / found.arm_mm;
+    Prior::independent(found.tool_from_cloud, [turn_rad; 3], [ANY_POSE_MM; 3])
 }

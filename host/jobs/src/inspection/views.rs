@@ -10,7 +10,6 @@ use flankscope_metrology::feature::Features;
 use flankscope_metrology::gear::{Flank, FlankPlace};
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
 use flankscope_metrology::surface::Closest;
-use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
@@ -89,7 +88,6 @@ pub enum EvaluatorError {
 /// Data of the evaluation that are the same for every check.
 pub struct Evaluator {
     criteria: Arc<FlankCriteria>,
-    datum: Datum,
     /// Bands of height that determine the pose, mm; empty if the lands do.
     datum_bands_mm: Vec<[f64; 2]>,
     decoder: Arc<Decoder>,
@@ -121,7 +119,6 @@ impl Evaluator {
         }
         let limits = tool.limits().ok_or(missing("[inspect] in the tool file"))?;
         let inspect = tool.inspect.as_ref();
-        let datum = inspect.map(|inspect| inspect.datum).unwrap_or_default();
         let datum_bands_mm = inspect.map(|inspect| inspect.datum_height_mm.clone());
         let datum_bands_mm = datum_bands_mm.unwrap_or_default();
         let stage_from_camera = hand_eye(subject)?;
@@ -192,7 +189,6 @@ impl Evaluator {
         };
         Ok(Self {
             criteria: Arc::new(criteria),
-            datum,
             datum_bands_mm,
             decoder,
             places,
@@ -376,7 +372,9 @@ impl Evaluator {
     fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
         let expected: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
-        let used = self.are_datum(place, &expected);
+        // By the stages' pose, which is off by hundredths of a millimetre.
+        let tool = &self.criteria.tool;
+        let used = datum::used(tool, &[place.tooth], &place.surface, &expected);
         let datum: Vec<[f64; 3]> = points
             .iter()
             .zip(&used)
@@ -511,18 +509,6 @@ impl Evaluator {
             pose: None,
             wears: Vec::new(),
         }
-    }
-
-    /// Selects the points that the fit may use, by the stages' pose, which is off by hundredths of a millimetre.
-    fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
-        let gear = match self.features() {
-            Features::Gear(gear) => gear,
-            Features::Patches(patches) => {
-                return datum::within(patches, place.tooth, &place.surface, points);
-            }
-        };
-        let judged = [place.tooth];
-        datum::on_gear(self.datum, &self.datum_bands_mm, gear, &judged, points)
     }
 
     fn unmeasured(

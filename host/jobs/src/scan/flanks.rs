@@ -25,7 +25,7 @@ use flankscope_metrology::wear::sensitivity::{
     HeldView, ScanSensitivity, ScanView, registration_mm,
 };
 use flankscope_metrology::wear::{
-    FlankWear, Gathered, PoseEvidence, SeenFlank, WearSettings, Zone,
+    ANY_POSE_MM, FlankWear, Gathered, PoseEvidence, SeenFlank, WearSettings, Zone,
 };
 use nalgebra::Matrix6;
 use rayon::prelude::*;
@@ -47,9 +47,6 @@ const PUT_DOWN_MM: f64 = 1.0;
 const END_PER_MODULE: f64 = 0.1;
 /// Smallest measured fraction of a zone for a flank that was not requested.
 const LEAST_SEEN: f64 = 0.02;
-/// Prior of the die's rotation on its table, as wear, which only the flanks can determine: standard deviation, mm. Wider than any
-/// wear of a usable gear, narrow enough for integration steps below a micrometre.
-const ANY_TURN_MM: f64 = 0.1;
 /// Distance of the lower quartile of a normal distribution from its median, in standard deviations; the standard error of the
 /// quartile of n values is this divided by the root of n.
 const QUARTILE_SIGMAS: f64 = 0.674_5;
@@ -156,7 +153,8 @@ fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
         tooth: None,
         flanks: sides.collect(),
         stages_mm: 0.0,
-        approach_sigma_mm: ANY_TURN_MM,
+        // A die on its table may be turned by any angle.
+        approach_sigma_mm: ANY_POSE_MM,
         mount_sigma_mm: 0.0,
         stages_both_mm: 0.0,
         both_sigma_mm: f64::INFINITY,

@@ -38,11 +38,11 @@ impl Format {
     /// # Errors
     /// Another ending.
     pub fn of_cloud(path: &Path) -> Result<Self, FormatError> {
-        let is_text = path
-            .extension()
-            .is_some_and(|ending| ending.eq_ignore_ascii_case("xyz"));
+        let ending = path.extension();
+        if ending.is_some_and(|ending| ending.eq_ignore_ascii_case("xyz")) {
+            return Ok(Self::Xyz);
+        }
         match Self::of_mesh(path) {
-            _ if is_text => Ok(Self::Xyz),
             Ok(Self::Stl) | Err(_) => Err(FormatError {
                 name: path.display().to_string(),
                 written: "points are written as PLY (name.ply), as text (name.xyz) or as arrays for NumPy (name.npz)",
@@ -124,6 +124,7 @@ impl<'a> PointFile<'a> {
 
     /// Numbers with as many digits as they need to be read back the same.
     fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
+        ply::check_lengths(self.points, self.columns)?;
         let mut columns: Vec<Box<dyn Iterator<Item = f64> + '_>> = Vec::new();
         for column in self.columns {
             columns.push(match column {
@@ -138,11 +139,7 @@ impl<'a> PointFile<'a> {
                 Scalar::F32 => write!(out, "{} {} {}", *x as f32, *y as f32, *z as f32)?,
                 _ => write!(out, "{x} {y} {z}")?,
             }
-            for column in &mut columns {
-                let value = column.next().ok_or_else(|| {
-                    let why = "a column is shorter than the points";
-                    io::Error::new(io::ErrorKind::InvalidInput, why)
-                })?;
+            for value in columns.iter_mut().filter_map(Iterator::next) {
                 write!(out, " {value}")?;
             }
             writeln!(out)?;

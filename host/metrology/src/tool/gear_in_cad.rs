@@ -18,6 +18,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 use crate::gear::{Flank, GearData, GearKind, involute};
 use crate::io::mesh::TriMesh;
 use crate::registration::detect_teeth;
+use crate::space::unit_normal;
 use crate::surface::Surface;
 
 /// Distance within which a turn by one pitch must bring the mesh onto itself, mm.
@@ -119,20 +120,19 @@ struct MeshFacet {
     area_mm2: f64,
 }
 
+/// The facets with an area.
 fn facets(mesh: &TriMesh) -> Vec<MeshFacet> {
-    let all = (0..mesh.triangles.len()).map(|index| {
+    let all = (0..mesh.triangles.len()).filter_map(|index| {
         let corners = mesh.corners(index);
         let [a, b, c] = corners.map(Vector3::from);
-        let cross = (b - a).cross(&(c - a));
-        MeshFacet {
+        Some(MeshFacet {
             corners,
             middle: (a + b + c) / 3.0,
-            normal: cross.normalize(),
-            area_mm2: 0.5 * cross.norm(),
-        }
+            normal: unit_normal(corners)?.into(),
+            area_mm2: 0.5 * (b - a).cross(&(c - a)).norm(),
+        })
     });
-    all.filter(|facet| facet.area_mm2 > 0.0 && facet.normal.iter().all(|x| x.is_finite()))
-        .collect()
+    all.collect()
 }
 
 /// Finds the gear that a closed, outwards oriented mesh in mm shows.

@@ -43,7 +43,7 @@ pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use sensitivity::PoseSensitivity;
-pub use shared::{PoseEvidence, SeenFlank, Turn};
+pub use shared::{ANY_POSE_MM, PoseEvidence, SeenFlank, Turn};
 pub use sight::Sight;
 use sight::Visibility;
 

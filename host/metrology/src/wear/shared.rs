@@ -33,6 +33,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::gear::Flank;
 
+/// Standard uncertainty of a pose that only the flanks determine, as wear, mm: wider than any wear of a usable gear, narrow enough for
+/// integration steps below a micrometre.
+pub const ANY_POSE_MM: f64 = 0.1;
+
 /// A flank in view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

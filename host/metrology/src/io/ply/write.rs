@@ -29,6 +29,18 @@ impl Column<'_> {
     }
 }
 
+/// Checks that every column has a value for each point.
+///
+/// # Errors
+/// `InvalidInput` where one is shorter or longer.
+pub(crate) fn check_lengths(points: &[[f64; 3]], columns: &[Column<'_>]) -> io::Result<()> {
+    if columns.iter().all(|column| column.len() == points.len()) {
+        return Ok(());
+    }
+    let why = "a column is not as long as the points";
+    Err(io::Error::new(io::ErrorKind::InvalidInput, why))
+}
+
 /// Writes points in their order with further columns, and triangles between them, if there are any.
 ///
 /// `coordinate` is the type of x, y, z: [`Scalar::F64`] keeps everything, [`Scalar::F32`] suits points that were read as float.
@@ -42,12 +54,7 @@ pub fn write_mesh(
     columns: &[Column<'_>],
     triangles: &[[u32; 3]],
 ) -> io::Result<()> {
-    if columns.iter().any(|column| column.len() != points.len()) {
-        return Err(io::Error::new(
-            io::ErrorKind::InvalidInput,
-            "a column is not as long as the points",
-        ));
-    }
+    check_lengths(points, columns)?;
     writeln!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment {comment}"
