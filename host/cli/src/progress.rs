@@ -53,6 +53,10 @@ impl Watcher {
                 "{} is too near to a limit and is measured again",
                 self.name(view)
             ),
+            Progress::Further(view) => format!(
+                "{} is not seen well enough and is looked at from the side",
+                self.name(view)
+            ),
             Progress::Retracting => "head retracts".into(),
             Progress::Evaluated(view) => format!("{} evaluated", self.name(view)),
         };

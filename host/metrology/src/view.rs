@@ -3,6 +3,7 @@
 use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage, Tool};
 use serde::{Deserialize, Serialize};
 
+use crate::gear::Flank;
 use crate::kinematics::tool_from_camera;
 
 /// One view: which tooth or patch is in its middle, and where the stages must stand.
@@ -15,6 +16,16 @@ pub struct PlannedView {
     pub rotation_rad: f64,
     /// Commanded position of the vertical stage, mm.
     pub vertical_mm: f64,
+}
+
+/// A view of a planned view's tooth from another place, for what that view does not show.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FurtherView {
+    /// The flank that it is for; none for both.
+    pub flank: Option<Flank>,
+    /// Its tooth, and where the stages must stand.
+    #[serde(flatten)]
+    pub view: PlannedView,
 }
 
 impl PlannedView {

@@ -139,8 +139,19 @@ impl Instrument {
         draw: u64,
         trouble: Trouble,
     ) -> anyhow::Result<ViewState> {
-        let mut random = Random::new(draw, 1);
-        let view = &self.plan.views[0];
+        self.approach_view(0, world, draw, trouble)
+    }
+
+    fn approach_view(
+        &self,
+        number: usize,
+        world: &World,
+        draw: u64,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewState> {
+        let mut random = Random::new(draw, 1 + number as u64);
+        let view = self.plan.all_views().nth(number);
+        let view = view.context("a view of the plan")?;
         let rotation = view.rotation_rad
             + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
             + trouble.turned_rad;
@@ -148,9 +159,40 @@ impl Instrument {
         Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
     }
 
+    /// Captures and judges one view; then, as a check does, the further views that could decide what it leaves open. `number` is
+    /// the seed of the frames' noise, `draw` that of the stages' errors.
+    pub fn capture_all(
+        &self,
+        world: &World,
+        state: &ViewState,
+        (number, draw): (u32, u64),
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewOutcome> {
+        let mut outcome = self.capture(world, state, number, trouble)?;
+        for view in outcome.further_wanted(&self.plan) {
+            let state = self.approach_view(view, world, draw, trouble)?;
+            // Noise of its own.
+            let number = number.wrapping_add((view as u32) << 20);
+            let further = self.capture_view(view, world, &state, number, trouble)?;
+            outcome = outcome.with_further(view, further);
+        }
+        Ok(outcome)
+    }
+
     /// Captures and judges one view; `number` is the seed of the frames' noise.
     pub fn capture(
         &self,
+        world: &World,
+        state: &ViewState,
+        number: u32,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewOutcome> {
+        self.capture_view(0, world, state, number, trouble)
+    }
+
+    fn capture_view(
+        &self,
+        view: usize,
         world: &World,
         state: &ViewState,
         number: u32,
@@ -163,7 +205,7 @@ impl Instrument {
             Ok(world.expose(state, light, lit_us as u32, counter, pixels)?)
         };
         add_all(&mut accumulator, &self.decoder, &self.sets(), photograph)?;
-        Ok(self.evaluator.evaluate(0, &accumulator))
+        Ok(self.evaluator.evaluate(view, &accumulator))
     }
 
     fn sets(&self) -> Vec<(f64, u32)> {

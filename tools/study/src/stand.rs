@@ -97,9 +97,9 @@ impl Stand {
         let state = self
             .instrument
             .approach(&self.world, draw, Trouble::default())?;
-        let outcome = self
-            .instrument
-            .capture(&self.world, &state, number, Trouble::default())?;
+        let outcome =
+            self.instrument
+                .capture_all(&self.world, &state, (number, draw), Trouble::default())?;
         Ok((outcome, self.world.truth(&state).to_vec()))
     }
 

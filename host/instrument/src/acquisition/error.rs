@@ -229,6 +229,8 @@ pub enum Progress {
     Recapture(usize),
     /// A result of the view is too near to a limit: it is measured again.
     Repeat(usize),
+    /// An earlier view does not show enough of a flank: it is looked at from a further place, that of this view.
+    Further(usize),
     /// The stages retract.
     Retracting,
     /// A view is evaluated.

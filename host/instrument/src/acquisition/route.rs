@@ -108,9 +108,10 @@ fn cost(stage: &StageConfig, from: View, to: View) -> Cost {
 }
 
 impl Program {
-    /// The quickest route through all views for stages at `start`; at most as many views as a plan holds.
-    pub fn quickest_from(&self, start: View) -> Route {
-        let views: Vec<View> = self.positions.iter().map(StagePosition::view).collect();
+    /// The quickest route through the first `count` views for stages at `start`; at most as many views as a plan holds.
+    pub fn quickest_from(&self, start: View, count: usize) -> Route {
+        let views = self.positions.iter().take(count);
+        let views: Vec<View> = views.map(StagePosition::view).collect();
         let stay = Stay {
             settling_s: self.settling_s(),
             exposure_s: self.exposure_s(),

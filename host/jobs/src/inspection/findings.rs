@@ -9,7 +9,8 @@ use flankscope_metrology::wear::standing::MissingTooth;
 
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::{
-    Evidence, Feature, FlankInView, FlankMap, Phasors, ToothIdentity, ViewRegistration,
+    Evidence, Feature, FlankInView, FlankMap, FurtherEvidence, Phasors, ToothIdentity,
+    ViewRegistration,
 };
 
 use super::in_view::Neighbourhood;
@@ -63,9 +64,15 @@ impl Findings {
         for (view, &PlannedView { tooth, .. }) in plan.views.iter().enumerate() {
             if let Some(outcome) = outcomes.remove(&view) {
                 let hashes = outcome.phasors.iter().map(|p| p.blake3.clone());
+                let further = outcome.further.iter().flat_map(|of| {
+                    let view = of.view;
+                    let hashes = of.phasors.iter().map(|p| p.blake3.clone());
+                    hashes.map(move |phasors| FurtherEvidence { view, phasors })
+                });
                 evidence.push(Evidence {
                     tooth,
                     phasors: hashes.collect(),
+                    further: further.collect(),
                     problem: None,
                 });
                 judged.extend(outcome.flanks);
@@ -73,6 +80,10 @@ impl Findings {
                 neighbourhood.add(outcome.in_view);
                 registration.extend(outcome.registration);
                 phasors.extend(outcome.phasors);
+                for further in outcome.further {
+                    registration.extend(further.registration);
+                    phasors.extend(further.phasors);
+                }
                 fields.extend(outcome.fields);
                 poses.extend(outcome.pose);
                 maps.extend(outcome.maps);
@@ -84,6 +95,7 @@ impl Findings {
                 evidence.push(Evidence {
                     tooth,
                     phasors: Vec::new(),
+                    further: Vec::new(),
                     problem: Some(why.into()),
                 });
             }

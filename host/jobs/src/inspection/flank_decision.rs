@@ -1,5 +1,6 @@
 //! Decides a flank from all of its measurements, one or several, by limits and baseline.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use flankscope_metrology::gear::Flank;
@@ -8,6 +9,7 @@ use flankscope_metrology::verdict::flank::{FlankLimits, judge};
 use flankscope_metrology::verdict::{Code, Reason, Verdict, repeating_could_decide};
 use flankscope_metrology::wear::{FlankWear, WearSettings};
 
+use super::outcome::FurtherCapture;
 use super::verdict::{Judged, unmeasured_flank};
 use flankscope_record::baseline::Baseline;
 use flankscope_record::document::Expanded;
@@ -40,14 +42,26 @@ impl FlankCriteria {
         since.map_err(|mismatch| Reason::instrument(Code::BaselineMismatch, mismatch))
     }
 
-    /// Judges a flank by all of its measurements.
-    pub fn flank(&self, tooth: u32, flank: Flank, captures: &[Vec<FlankWear>]) -> Option<Judged> {
-        let measured: Vec<&FlankWear> = captures
-            .iter()
-            .flatten()
-            .filter(|wear| (wear.tooth, wear.flank) == (tooth, flank))
-            .collect();
-        let together = FlankWear::together(&measured, &self.settings)?;
+    /// Judges a flank by all of its measurements, those of further views included.
+    pub fn flank(
+        &self,
+        tooth: u32,
+        flank: Flank,
+        captures: &[Vec<FlankWear>],
+        further: &[FurtherCapture],
+    ) -> Option<Judged> {
+        let is_it = |wear: &&FlankWear| (wear.tooth, wear.flank) == (tooth, flank);
+        let measured: Vec<&FlankWear> = captures.iter().flatten().filter(is_it).collect();
+        let mut together = FlankWear::together(&measured, &self.settings)?;
+        let views: BTreeSet<usize> = further.iter().map(|of| of.view).collect();
+        for view in views {
+            let of_view = further.iter().filter(|of| of.view == view);
+            let of_view = of_view.flat_map(|of| &of.wears);
+            let of_view: Vec<&FlankWear> = of_view.filter(is_it).collect();
+            if let Some(of_view) = FlankWear::together(&of_view, &self.settings) {
+                together = together.with_further(&of_view, &self.settings);
+            }
+        }
         let absolute = together.wear_mm();
         Some(match self.judged_wear(&together) {
             Ok(wear) => {

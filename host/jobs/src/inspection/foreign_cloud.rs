@@ -177,7 +177,7 @@ impl Judging<'_> {
             .flat_map(|&n| sides.iter().map(move |&f| (n, f)));
         found
             .judged
-            .extend(keys.filter_map(|(n, f)| self.criteria.flank(n, f, &captures)));
+            .extend(keys.filter_map(|(n, f)| self.criteria.flank(n, f, &captures, &[])));
         let [mut others] = captures;
         others.retain(|wear| !self.asked.contains(&wear.tooth));
         let of_others = InView::of_view(0, &[others], Vec::new(), &self.criteria);

@@ -188,7 +188,8 @@ impl Job<ViewOutcome> {
             rotation: status.rotation,
             vertical: status.vertical,
         };
-        let Route { order, time } = self.acquisition.program().quickest_from(stands);
+        let count = self.plan.views.len();
+        let Route { order, time } = self.acquisition.program().quickest_from(stands, count);
         watch(Progress::Planned(time));
         Ok(order)
     }

@@ -3,11 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::{FlankWear, PoseEvidence};
 
 use super::flank_decision::FlankCriteria;
 use super::in_view::InView;
 use super::verdict::Judged;
+use crate::plan::ViewPlan;
 use flankscope_record::baseline::Reference;
 use flankscope_record::document::{FlankMap, Phasors, ViewRegistration};
 
@@ -35,7 +38,20 @@ pub struct ViewOutcome {
     pub(super) tooth: u32,
     /// Wear of the flanks by each capture; empty if it could not be measured.
     pub(super) captures: Vec<Vec<FlankWear>>,
+    /// Captures of further views of its tooth.
+    pub(super) further: Vec<FurtherCapture>,
     pub(super) criteria: Arc<FlankCriteria>,
+}
+
+/// A capture of a view's tooth from another place.
+#[derive(Debug)]
+pub(crate) struct FurtherCapture {
+    /// Number of the further view in the plan.
+    pub view: usize,
+    /// Wear of the flanks; empty if it could not be measured.
+    pub wears: Vec<FlankWear>,
+    pub registration: Vec<ViewRegistration>,
+    pub phasors: Vec<Phasors>,
 }
 
 impl ViewOutcome {
@@ -47,19 +63,57 @@ impl ViewOutcome {
         })
     }
 
-    /// Outcomes of all views; views with several captures are judged by all of them.
+    /// Numbers of the further views that could decide a flank of which this view does not show enough.
+    #[must_use]
+    pub fn further_wanted(&self, plan: &ViewPlan) -> Vec<usize> {
+        let sides = self.criteria.tool.features().sides();
+        let unseen = |judged: &Judged| {
+            let code = judged.verdict().reason().map(Reason::code);
+            matches!(
+                code,
+                Some(Code::Hidden | Code::Coverage | Code::NoDisc | Code::TipUnseen)
+            )
+        };
+        let flanks = self.flanks.iter().zip(sides);
+        let flanks = flanks.filter(|(judged, _)| unseen(judged));
+        let flanks: Vec<Flank> = flanks.map(|(_, &flank)| flank).collect();
+        let mut views = plan.further_of(self.tooth, &flanks);
+        views.retain(|&view| self.further.iter().all(|of| of.view != view));
+        views
+    }
+
+    /// Outcomes of all planned views; a view with several captures, or with further views of its tooth, is judged by all of them.
     pub(crate) fn joined(
         mut first: BTreeMap<usize, Self>,
         again: BTreeMap<usize, Self>,
+        plan: &ViewPlan,
     ) -> BTreeMap<usize, Self> {
         for (view, again) in again {
-            let outcome = match first.remove(&view) {
+            let is_further = view >= plan.views.len();
+            let planned = plan.views.iter().position(|of| of.tooth == again.tooth);
+            let view_of_tooth = planned.filter(|_| is_further).unwrap_or(view);
+            let outcome = match first.remove(&view_of_tooth) {
+                Some(first) if is_further => first.with_further(view, again),
                 Some(first) => first.with(again),
+                None if is_further => continue,
                 None => again,
             };
-            first.insert(view, outcome);
+            first.insert(view_of_tooth, outcome);
         }
         first
+    }
+
+    /// The outcome by this and a capture of further view number `view` of its tooth.
+    #[must_use]
+    pub fn with_further(mut self, view: usize, further: Self) -> Self {
+        self.further.push(FurtherCapture {
+            view,
+            wears: further.captures.into_iter().flatten().collect(),
+            registration: further.registration,
+            phasors: further.phasors,
+        });
+        self.judge_again();
+        self
     }
 
     /// The outcome by this and another capture of the view together.
@@ -71,12 +125,18 @@ impl ViewOutcome {
         let criteria = Arc::clone(&self.criteria);
         let in_view = std::mem::take(&mut self.in_view);
         self.in_view = in_view.with(self.tooth, again.in_view, &self.captures, &criteria);
+        self.judge_again();
+        self
+    }
+
+    /// Judges both flanks by all captures.
+    fn judge_again(&mut self) {
+        let (criteria, captures, further) = (&self.criteria, &self.captures, &self.further);
         let sides = criteria.tool.features().sides();
         for (judged, &flank) in self.flanks.iter_mut().zip(sides) {
-            if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
+            if let Some(together) = criteria.flank(self.tooth, flank, captures, further) {
                 *judged = together;
             }
         }
-        self
     }
 }

@@ -14,6 +14,7 @@ pub(crate) fn recipe(subject: &Subject, plan: &ViewPlan) -> Recipe {
     let by_files = by_files.is_ok_and(|by_files| by_files.lit(light.clone()) == *plan);
     let recorded = (!by_files).then(|| RecordedRecipe {
         views: plan.views.clone(),
+        further: plan.further.clone(),
         patterns: plan.patterns.clone(),
         dark_frame: plan.dark_frame,
         sensor: plan.sensor,

@@ -17,7 +17,7 @@ use flankscope_instrument::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, Progress, Recording, Run, ViewError,
 };
 use flankscope_instrument::poses::PoseTable;
-use flankscope_metrology::view::PlannedView;
+use flankscope_metrology::view::{FurtherView, PlannedView};
 use flankscope_record::document::Inspection;
 use flankscope_record::origin::Setting;
 
@@ -52,7 +52,9 @@ impl Job<ViewOutcome> {
         run: &mut Run<ViewOutcome>,
         watch: &mut impl FnMut(Progress),
     ) -> Result<(), AcquisitionError> {
-        for (view, of) in self.view_names().into_iter().enumerate() {
+        let mut planned = self.view_names();
+        planned.truncate(self.plan.views.len());
+        for (view, of) in planned.into_iter().enumerate() {
             if frames
                 .captures
                 .iter()
@@ -68,10 +70,14 @@ impl Job<ViewOutcome> {
         let retaken = views_that(run, |outcome| outcome.retake);
         self.play_next(frames, run, &retaken, watch).await?;
         for _ in 0..repetitions {
-            let open = views_that(run, ViewOutcome::is_open);
+            let mut again = views_that(run, ViewOutcome::is_open);
+            for outcome in run.outcomes.values() {
+                again.extend(outcome.further_wanted(&self.plan));
+            }
             let before = std::mem::take(&mut run.outcomes);
-            self.play_next(frames, run, &open, watch).await?;
-            run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
+            self.play_next(frames, run, &again, watch).await?;
+            let again = std::mem::take(&mut run.outcomes);
+            run.outcomes = ViewOutcome::joined(before, again, &self.plan);
         }
         Ok(())
     }
@@ -162,6 +168,8 @@ fn plan(
     let asked = teeth.or(recording.index.teeth.as_deref()).unwrap_or(&all);
     let mut views = ViewPlan::looking_at(tool, head, asked)?;
     let mut view_of = vec![None; seen.len()];
+    let mut further: Vec<FurtherView> = Vec::new();
+    let count = views.len();
     for (place, planned) in views.iter_mut().enumerate() {
         let nominal = planned.clone();
         for (at, said) in recording.index.view.iter().enumerate() {
@@ -173,14 +181,20 @@ fn plan(
                 vertical_mm: said.vertical_mm.unwrap_or(nominal.vertical_mm),
                 ..nominal.clone()
             };
-            if view_of.contains(&Some(place)) {
-                if *planned != stood {
+            if view_of.contains(&Some(place)) && *planned != stood {
+                if tool.gear.is_none() {
                     let tooth = planned.tooth;
                     return Err(PlanningError::Elsewhere { tooth });
                 }
-            } else {
-                *planned = stood;
+                let known = further.iter().position(|of| of.view == stood);
+                view_of[at] = Some(count + known.unwrap_or(further.len()));
+                if known.is_none() {
+                    let (flank, view) = (None, stood);
+                    further.push(FurtherView { flank, view });
+                }
+                continue;
             }
+            *planned = stood;
             view_of[at] = Some(place);
         }
     }
@@ -188,7 +202,7 @@ fn plan(
         check_seen(tool, head, &views)?;
     }
     Ok((
-        ViewPlan::of_recording(recording, views, tool, head),
+        ViewPlan::of_recording(recording, (views, further), tool, head),
         view_of,
     ))
 }

@@ -1,4 +1,5 @@
-//! Repeats measurements of wear that is too near to a limit, while there is time.
+//! Repeats measurements of wear that is too near to a limit, and looks from further places where too little was seen, while there is
+//! time.
 
 use std::time::Duration;
 
@@ -34,22 +35,36 @@ impl Job<ViewOutcome> {
         // The time of one way in and out, and of a visit to each view.
         let visit = run.timeline.elapsed() / (run.wanted.len() as u32 + 1);
         for _ in 0..inspect.map_or(0, |inspect| inspect.remeasure) {
+            let in_time = |views: usize| {
+                let needed = visit * (views as u32 + 1) + RETRACT_RESERVE;
+                let limit = run.hold_limit;
+                limit.is_none_or(|limit| run.timeline.elapsed() + needed <= limit)
+            };
             let is_open = |view: &usize| run.outcomes.get(view).is_some_and(ViewOutcome::is_open);
-            let open: Vec<usize> = run.wanted.iter().copied().filter(is_open).collect();
-            let needed = visit * (open.len() as u32 + 1) + RETRACT_RESERVE;
-            let in_time = run
-                .hold_limit
-                .is_none_or(|limit| run.timeline.elapsed() + needed <= limit);
-            if open.is_empty() || !in_time {
+            let planned = run.wanted.iter().copied();
+            let planned = planned.filter(|view| *view < self.plan.views.len());
+            let mut again: Vec<usize> = planned.filter(is_open).collect();
+            let further = self.further_wanted(run);
+            if in_time(again.len() + further.len()) {
+                again.extend(further);
+            }
+            again.truncate(flankscope_protocol::plan::MAX_VIEWS);
+            if again.is_empty() || !in_time(again.len()) {
                 return Ok(None);
             }
-            for &view in &open {
-                watch(Progress::Repeat(view));
+            for &view in &again {
+                if view < self.plan.views.len() {
+                    watch(Progress::Repeat(view));
+                } else {
+                    watch(Progress::Further(view));
+                    run.wanted.push(view);
+                }
             }
             let before = std::mem::take(&mut run.outcomes);
-            let captured = self.capture_when_open(client, run, &open, watch).await;
+            let captured = self.capture_when_open(client, run, &again, watch).await;
             // A view that fails now keeps its earlier outcome.
-            run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
+            let again = std::mem::take(&mut run.outcomes);
+            run.outcomes = ViewOutcome::joined(before, again, &self.plan);
             match captured? {
                 Repeated::Whole => {}
                 Repeated::Stopped(why) => return Ok(Some(why)),
@@ -57,6 +72,29 @@ impl Job<ViewOutcome> {
             }
         }
         Ok(None)
+    }
+
+    /// Numbers of the further views that could decide a flank and that the stages reach. Nothing is known of the way there if
+    /// something else than the stages moves the head.
+    fn further_wanted(&self, run: &Run<ViewOutcome>) -> Vec<usize> {
+        if !self.plan.stated.all().is_empty() {
+            return Vec::new();
+        }
+        let positions = &self.acquisition.program().positions;
+        let [from, to] = self
+            .subject
+            .station
+            .stages
+            .rotation
+            .travel_deg
+            .map(f64::to_radians);
+        let is_reached = |view: &usize| {
+            let at = positions.get(*view);
+            at.is_some_and(|at| (from..=to).contains(&at.rotation_rad))
+        };
+        let outcomes = run.outcomes.values();
+        let wanted = outcomes.flat_map(|outcome| outcome.further_wanted(&self.plan));
+        wanted.filter(is_reached).collect()
     }
 
     /// Captures views at the next opening of the press, if it has gone on meanwhile.

@@ -129,8 +129,7 @@ impl Evaluator {
             .ok_or(missing("[volume] in the head file"))?;
         let field_mm = volume.far_mm * field.slope;
         let places = plan
-            .views
-            .iter()
+            .all_views()
             .map(|view| {
                 let tool_from_camera = view.tool_from_camera(stage_from_camera);
                 if let Some(gear) = &tool.gear {
@@ -324,6 +323,7 @@ impl Evaluator {
             retake: false,
             tooth: place.tooth,
             captures,
+            further: Vec::new(),
             criteria: Arc::clone(&self.criteria),
         }
     }
@@ -458,7 +458,7 @@ impl Evaluator {
             .map(|(wear, sensitivity)| wear.with(sensitivity, settings))
             .collect();
         let captures = std::slice::from_ref(&wears);
-        let judged = |&flank: &Flank| self.criteria.flank(place.tooth, flank, captures);
+        let judged = |&flank: &Flank| self.criteria.flank(place.tooth, flank, captures, &[]);
         Assessed {
             flanks: features.sides().iter().filter_map(judged).collect(),
             leakage,
@@ -545,6 +545,7 @@ impl Evaluator {
             retake: false,
             tooth: place.tooth,
             captures: vec![Vec::new()],
+            further: Vec::new(),
             criteria: Arc::clone(&self.criteria),
         }
     }

@@ -87,11 +87,11 @@ impl<O: Send + 'static> Job<O> {
         self.subject.die()
     }
 
-    /// For every view of the plan, the tooth or patch in its middle.
+    /// For every view of the plan, the tooth or patch that it is for; the further views come last.
     #[must_use]
     pub fn view_names(&self) -> Vec<String> {
         let features = self.subject.tool.features();
-        let views = self.plan.views.iter();
+        let views = self.plan.all_views();
         views.map(|view| features.name(view.tooth)).collect()
     }
 

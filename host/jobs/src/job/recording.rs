@@ -120,7 +120,7 @@ impl<O: Send + 'static> Job<O> {
                 let path = folder.join(saved.index.folder);
                 return Err(RecordError::Write { path, source });
             }
-            let stood = self.plan.views.get(saved.view);
+            let stood = self.plan.all_views().nth(saved.view);
             views.push(IndexedView {
                 tooth: stood.map(|stood| stood.tooth),
                 rotation_rad: stood.map(|stood| stood.rotation_rad),

@@ -1,10 +1,11 @@
 //! Plans views from the tool's critical teeth and the head's geometry.
 
 mod field;
+mod further;
 mod patch_view;
 
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage};
-use flankscope_metrology::gear::GearKind;
+use flankscope_metrology::gear::{Flank, GearKind};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
@@ -20,7 +21,7 @@ use flankscope_instrument::patterns::PatternLight;
 use flankscope_instrument::poses::{PoseError, PoseTable, StatedPoses, Wanted};
 use flankscope_instrument::settings::StationSettings;
 use flankscope_metrology::kinematics::{Moves, SweptVolume};
-use flankscope_metrology::view::PlannedView;
+use flankscope_metrology::view::{FurtherView, PlannedView};
 use flankscope_record::document::{Recipe, RecordedRecipe};
 
 /// All views of a check, with patterns and exposures.
@@ -28,6 +29,8 @@ use flankscope_record::document::{Recipe, RecordedRecipe};
 pub struct ViewPlan {
     /// The views, in the tool file's order.
     pub views: Vec<PlannedView>,
+    /// Further views of their teeth, captured only if those leave something unseen; they are numbered after all others.
+    pub further: Vec<FurtherView>,
     /// Fringe pattern set.
     pub patterns: PatternSet,
     /// Fraction of the light of all mirrors that each pass gives, if the patterns are shown in passes; empty: shown once by all mirrors.
@@ -184,6 +187,7 @@ impl ViewPlan {
             return Err(lacks("stage_from_camera"));
         }
         Ok(Self {
+            further: further::planned(tool, head, &views),
             views,
             patterns,
             lit_ratios: PatternLight::of(head).lit_ratios,
@@ -195,6 +199,24 @@ impl ViewPlan {
             top_mm: tool.top_mm(),
             stated: StatedPoses::default(),
         })
+    }
+
+    /// All views by number: the planned ones, then the further ones.
+    pub fn all_views(&self) -> impl Iterator<Item = &PlannedView> {
+        self.views
+            .iter()
+            .chain(self.further.iter().map(|further| &further.view))
+    }
+
+    /// Numbers of the further views of a tooth that are for one of these flanks.
+    pub fn further_of(&self, tooth: u32, flanks: &[Flank]) -> Vec<usize> {
+        let is_for = |of: &FurtherView| {
+            let of_flank = of.flank.is_none_or(|flank| flanks.contains(&flank));
+            of.view.tooth == tooth && of_flank && !flanks.is_empty()
+        };
+        let further = self.further.iter().enumerate();
+        let further = further.filter(|(_, of)| is_for(of));
+        further.map(|(at, _)| self.views.len() + at).collect()
     }
 
     /// The same plan with the patterns shown in other light.
@@ -284,13 +306,14 @@ impl ViewPlan {
     /// Views of a recording, with patterns and exposures of its plan.
     pub(crate) fn of_recording(
         recording: &Recording,
-        views: Vec<PlannedView>,
+        (views, further): (Vec<PlannedView>, Vec<FurtherView>),
         tool: &Tool,
         head: &HeadModel,
     ) -> Self {
         let plan = &recording.plan;
         Self {
             views,
+            further,
             patterns: plan.patterns.clone(),
             lit_ratios: recording.index.lit_ratios.clone(),
             exposures_us: plan.exposures_us.clone(),
@@ -320,6 +343,7 @@ impl ViewPlan {
         };
         let RecordedRecipe {
             views,
+            further,
             patterns,
             dark_frame,
             sensor,
@@ -327,6 +351,7 @@ impl ViewPlan {
         } = recorded.clone();
         Ok(Self {
             views,
+            further,
             patterns: patterns.checked()?,
             lit_ratios: recipe.lit_ratios.clone(),
             exposures_us: recipe.exposures_us.clone(),
@@ -362,7 +387,7 @@ impl ViewPlan {
         ) else {
             return Ok(());
         };
-        let views = self.views.iter().map(|v| (v.rotation_rad, v.vertical_mm));
+        let views = self.all_views().map(|v| (v.rotation_rad, v.vertical_mm));
         let out_mm = self.top_mm + settings.stages.clearance_mm;
         let moves = settings.stages.moves;
         let Some(gear) = &tool.gear else {
@@ -457,7 +482,7 @@ impl ViewPlan {
             StagePosition::of(view.rotation_rad, view.vertical_mm, &settings.stages)
         };
         Program {
-            positions: self.views.iter().map(position).collect(),
+            positions: self.all_views().map(position).collect(),
             patterns: self.patterns.clone(),
             lit_ratios: self.lit_ratios.clone(),
             exposures_us: self.exposures_us.clone(),

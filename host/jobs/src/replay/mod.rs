@@ -13,7 +13,7 @@ use crate::inspection::{Evaluator, EvaluatorError, Findings, ViewOutcome, recipe
 use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_record::baseline::Baseline;
-use flankscope_record::document::{Evidence, Recipe};
+use flankscope_record::document::{Evidence, FurtherEvidence, Recipe};
 use flankscope_record::history::{Difference, History, HistoryError, row_differences};
 
 /// Why a check cannot be computed again.
@@ -40,6 +40,16 @@ pub enum ReplayError {
         tooth: u32,
         /// Cause.
         source: PhasorsError,
+    },
+    /// The evidence names a view that the plan does not have.
+    #[error("the evidence of tooth {tooth} names view {view}; the plan has {views}")]
+    NoSuchView {
+        /// Tooth of the view.
+        tooth: u32,
+        /// Its number, from 0.
+        view: usize,
+        /// Views of the plan, further ones included.
+        views: usize,
     },
     /// No plan of views follows from this tool and head.
     #[error(transparent)]
@@ -122,6 +132,7 @@ impl Replay {
         let plan = ViewPlan::of_recipe(&subject.tool, &subject.head, &stored.recipe)?;
         let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
+        let views = plan.all_views().count();
         let mut outcomes = BTreeMap::new();
         let mut problems = BTreeMap::new();
         let mut captures = 0;
@@ -130,23 +141,36 @@ impl Replay {
             if let Some(problem) = &evidence.problem {
                 problems.insert(view, Reason::from(problem));
             }
-            for blake3 in &evidence.phasors {
+            let tooth = evidence.tooth;
+            let mut evaluated = |view: usize, blake3: &String| {
+                if view >= views {
+                    return Err(ReplayError::NoSuchView { tooth, view, views });
+                }
                 let phasors = history.phasors(blake3, sums.byte_count())?;
-                sums.restore(&phasors.bytes)
-                    .map_err(|source| ReplayError::Phasors {
-                        blake3: blake3.clone(),
-                        tooth: evidence.tooth,
-                        source,
-                    })?;
+                let restored = sums.restore(&phasors.bytes);
+                restored.map_err(|source| ReplayError::Phasors {
+                    blake3: blake3.clone(),
+                    tooth,
+                    source,
+                })?;
                 captures += 1;
                 let mut outcome = evaluator.evaluate(view, &sums);
                 outcome.phasors.push(phasors);
-                let outcome = match outcomes.remove(&view) {
-                    Some(first) => ViewOutcome::with(first, outcome),
+                Ok(outcome)
+            };
+            let mut of_view: Option<ViewOutcome> = None;
+            for blake3 in &evidence.phasors {
+                let outcome = evaluated(view, blake3)?;
+                of_view = Some(match of_view {
+                    Some(first) => first.with(outcome),
                     None => outcome,
-                };
-                outcomes.insert(view, outcome);
+                });
             }
+            for FurtherEvidence { view, phasors } in &evidence.further {
+                let outcome = evaluated(*view, phasors)?;
+                of_view = of_view.map(|first| first.with_further(*view, outcome));
+            }
+            outcomes.extend(of_view.map(|outcome| (view, outcome)));
         }
         let recipe = recipe(&subject, &plan);
         subject.hashes.insert("recipe", recipe.hash());

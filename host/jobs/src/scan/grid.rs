@@ -57,6 +57,7 @@ impl Grid {
     pub fn plan(&self, tool: &Tool, head: &HeadModel) -> Result<ViewPlan, PlanningError> {
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
         Ok(ViewPlan {
+            further: Vec::new(),
             views: self.views(gear),
             ..ViewPlan::new(tool, head, Some(&[1]))?
         })

@@ -42,7 +42,7 @@ impl Scanner {
         let name = name_of(index.grid.as_deref(), &views);
         let planned = PlannedScan {
             name,
-            plan: ViewPlan::of_recording(recording, views, tool, &subject.head),
+            plan: ViewPlan::of_recording(recording, (views, Vec::new()), tool, &subject.head),
         };
         let same = BTreeMap::from([("recording".to_owned(), recording.blake3.clone())]);
         let frames = RecordedFrames::new(recording, of.into_iter().zip(recorded).collect());

@@ -96,6 +96,27 @@ impl Field {
         }
     }
 
+    /// Sets every cell to the mean of its points; the noise variance of `reference`'s cells is added to that of the own ones.
+    pub(super) fn average(&mut self, samples: &[WearSample], reference: Option<&Self>) {
+        let mut sums = vec![[0.0_f64; 3]; self.wear_mm.len()];
+        for sample in samples {
+            if let Some(cell) = self.cell_at(sample.at_mm) {
+                let [n, wear, variance] = sums[cell];
+                sums[cell] = [
+                    n + 1.0,
+                    wear + sample.wear_mm,
+                    variance + sample.variance_mm2,
+                ];
+            }
+        }
+        for (i, [n, wear, variance]) in sums.into_iter().enumerate() {
+            let of_reference = reference.map_or(0.0, |r| r.variance_mm2[i]);
+            // 0 / 0: not measured.
+            self.wear_mm[i] = wear / n;
+            self.variance_mm2[i] = variance / (n * n) + of_reference;
+        }
+    }
+
     /// Number of the cell around a place; none outside the zone.
     pub(super) fn cell_at(&self, at_mm: [f64; 2]) -> Option<usize> {
         let [column, row] = [0, 1].map(|k| at_mm[k] / self.cell_mm[k]);

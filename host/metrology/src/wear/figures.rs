@@ -7,8 +7,7 @@ use serde::Serialize;
 use super::WearSettings;
 use super::disc::Discs;
 use super::field::{Field, WearSample};
-use super::sight::Visibility;
-use super::unseen;
+use super::unseen::Unseen;
 
 /// Detection threshold in standard uncertainties: 1.645 for errors of the first kind and as much for the second (5 % each).
 pub const DETECTION_FACTOR: f64 = 3.3;
@@ -66,12 +65,12 @@ pub struct Figures {
 }
 
 /// Evaluates the points of a zone; `field` holds their cells, `scale` says how many times larger than stated their noise is,
-/// `visibility` how well the cells were seen, where the rays are known. None when nothing was measured or no disc fits.
+/// `unseen` which part of each cell was not seen. None when nothing was measured or no disc fits.
 pub(super) fn evaluate(
     field: &Field,
     samples: &[WearSample],
     scale: f64,
-    visibility: Option<&Visibility>,
+    unseen: impl FnOnce(&Discs<'_>) -> Vec<Unseen>,
     settings: &WearSettings,
     systematic_mm: f64,
 ) -> Option<Figures> {
@@ -80,7 +79,7 @@ pub(super) fn evaluate(
         return None;
     }
     let discs = Discs::new(field, samples, settings.area_mm2);
-    let unseen = unseen::of_cells(&discs, visibility, scale);
+    let unseen = unseen(&discs);
     let discs = discs.with_unseen(unseen);
     let [loss, proud] = discs.largest(scale)?;
 

@@ -305,7 +305,7 @@ impl<'a> Gathered<'a> {
         );
         wear.points = self.points;
         // All flanks of a die together would not fit into memory with them.
-        wear.measured.samples = Vec::new();
+        wear.measured.views[0].samples = Vec::new();
         let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
         wear.tip = self.edge.loss(self.gear, level_mm, settings.calibration_mm);
         wear

@@ -19,6 +19,7 @@ mod edge;
 mod evaluate;
 mod field;
 mod figures;
+mod further;
 mod gather;
 pub mod leakage;
 pub mod sensitivity;
@@ -164,14 +165,21 @@ pub struct FlankWear {
 /// Measurements of a zone, kept so that figures can be computed again: from several captures together, or since a baseline.
 #[derive(Debug, Clone, PartialEq)]
 struct MeasuredZone {
+    /// The view that has the flank's tooth in its middle, and further views of it from elsewhere.
+    views: Vec<ZoneView>,
+    /// Whether the samples are differences to a baseline.
+    since_baseline: bool,
+}
+
+/// What the captures from one place measured of a zone.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct ZoneView {
     /// Points in the zone; since a baseline, their wear less that of the baseline's cells.
     samples: Vec<WearSample>,
     /// Rays and points per cell; none where the camera's position is not known.
     visibility: Option<Visibility>,
     /// Evidence of each capture about its pose's turn about the axis.
     evidence: Vec<Arc<PoseEvidence>>,
-    /// Whether the samples are differences to a baseline.
-    since_baseline: bool,
 }
 
 /// Figures of one flank after correction for the turn of its pose and for a film on it, with all uncertainties included.
@@ -250,9 +258,11 @@ impl FlankWear {
             sensitivity: None,
             judged: None,
             measured: MeasuredZone {
-                samples,
-                visibility,
-                evidence: Vec::new(),
+                views: vec![ZoneView {
+                    samples,
+                    visibility,
+                    evidence: Vec::new(),
+                }],
                 since_baseline: false,
             },
         };
@@ -314,35 +324,34 @@ impl FlankWear {
         before: Option<&PoseEvidence>,
         settings: &WearSettings,
     ) {
-        let cells = self.field.wear_mm.len();
-        let mut sums = vec![[0.0_f64; 3]; cells];
-        for sample in &self.measured.samples {
-            if let Some(cell) = self.field.cell_at(sample.at_mm) {
-                let [n, wear, variance] = sums[cell];
-                sums[cell] = [
-                    n + 1.0,
-                    wear + sample.wear_mm,
-                    variance + sample.variance_mm2,
-                ];
-            }
-        }
-        for (i, [n, wear, variance]) in sums.into_iter().enumerate() {
-            let of_reference = reference.map_or(0.0, |r| r.variance_mm2[i]);
-            // 0 / 0: not measured.
-            self.field.wear_mm[i] = wear / n;
-            self.field.variance_mm2[i] = variance / (n * n) + of_reference;
-        }
-        self.coverage = self.field.coverage();
-        let systematic_mm = self.budget.systematic_mm();
-        let noise_scale = self.field.noise_scale();
-        let read = figures::evaluate(
-            &self.field,
-            &self.measured.samples,
-            noise_scale,
-            self.measured.visibility.as_ref(),
-            settings,
-            systematic_mm,
-        );
+        let MeasuredZone { views, .. } = &self.measured;
+        let read = if let [view] = &views[..] {
+            self.field.average(&view.samples, reference);
+            self.coverage = self.field.coverage();
+            let scale = self.field.noise_scale();
+            let systematic_mm = self.budget.systematic_mm();
+            figures::evaluate(
+                &self.field,
+                &view.samples,
+                scale,
+                |discs| unseen::of_cells(discs, view.visibility.as_ref(), scale),
+                settings,
+                systematic_mm,
+            )
+        } else {
+            let joined = further::join(&self.field, views, reference, settings.area_mm2);
+            self.field = joined.field;
+            self.coverage = self.field.coverage();
+            let systematic_mm = self.budget.systematic_mm();
+            figures::evaluate(
+                &self.field,
+                &joined.samples,
+                self.field.noise_scale(),
+                |_| joined.unseen,
+                settings,
+                systematic_mm,
+            )
+        };
         self.judged = read.map(|read| self.judge(read, before, settings));
     }
 
@@ -355,10 +364,11 @@ impl FlankWear {
         settings: &WearSettings,
     ) -> JudgedFigures {
         let MeasuredZone {
-            evidence,
+            views,
             since_baseline,
-            ..
         } = &self.measured;
+        let main = &views[0];
+        let is_alone = views.len() == 1;
         let budget = &mut self.budget;
         budget.noise_mm = read.depth_mm.u;
         // Anything between what was seen and that: rectangular, of which the figure is the lower end.
@@ -367,11 +377,13 @@ impl FlankWear {
         if let Some(sensitivity) = &self.sensitivity {
             let forms = [*since_baseline, false]
                 .map(|since| settings.form_mm(since).hypot(sensitivity.form_scatter_mm));
-            if !evidence.is_empty() {
-                let turns = evidence
-                    .iter()
-                    .map(|of| of.turn(before, forms[0], forms[1]));
-                let mean = Turn::of_all(turns);
+            if !main.evidence.is_empty() {
+                let turns = main.evidence.iter();
+                let turns = turns.map(|of| of.turn(before, forms[0], forms[1]));
+                // Of a further view the baseline has no evidence.
+                let further = views.iter().skip(1).flat_map(|view| &view.evidence);
+                let further = further.map(|of| of.turn(None, forms[1], forms[1]));
+                let mean = Turn::of_all(turns.chain(further));
                 shift_mm = self.flank.sign() * mean.mean_mm;
                 // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
                 let both_mm = sensitivity
@@ -387,8 +399,8 @@ impl FlankWear {
                 budget.as_built_mm = settings.as_built_mm * passed_on;
             }
             // From a datum, loss is a distance, of which calibration knows either end no better.
-            if evidence.is_empty() {
-                let one_end_mm = match since_baseline {
+            if main.evidence.is_empty() {
+                let one_end_mm = match *since_baseline && is_alone {
                     true => settings.drift_mm,
                     false => settings.calibration_mm,
                 };
@@ -438,16 +450,21 @@ impl FlankWear {
         settings: &WearSettings,
     ) -> Result<Self, Mismatch> {
         self.field.same_grid(reference)?;
-        self.measured.samples.retain_mut(|sample| {
-            let then = self
-                .field
-                .cell_at(sample.at_mm)
-                .map_or(f64::NAN, |cell| reference.wear_mm[cell]);
-            sample.wear_mm -= then;
-            then.is_finite()
-        });
+        let views = &mut self.measured.views;
+        // Elsewhere in the field the calibration errs otherwise than where the baseline was measured.
+        let is_alone = views.len() == 1;
+        for view in views {
+            view.samples.retain_mut(|sample| {
+                let cell = self.field.cell_at(sample.at_mm);
+                let then = cell.map_or(f64::NAN, |cell| reference.wear_mm[cell]);
+                sample.wear_mm -= then;
+                then.is_finite()
+            });
+        }
         self.measured.since_baseline = true;
-        self.budget.calibration_mm = settings.drift_mm;
+        if is_alone {
+            self.budget.calibration_mm = settings.drift_mm;
+        }
         self.budget.cad_mm = 0.0;
         self.budget.as_built_mm = 0.0;
         self.budget.film_mm = settings.film_mm / 6f64.sqrt();
@@ -467,35 +484,49 @@ impl FlankWear {
         }
         for other in others {
             wear.field.same_grid(&other.field).ok()?;
-            wear.measured
-                .samples
-                .extend_from_slice(&other.measured.samples);
-            wear.points += other.points;
-            match (&mut wear.measured.visibility, &other.measured.visibility) {
+            let (view, again) = (&mut wear.measured.views[0], &other.measured.views[0]);
+            view.samples.extend_from_slice(&again.samples);
+            match (&mut view.visibility, &again.visibility) {
                 (Some(seen), Some(more)) => seen.add(more),
                 (mine, _) => *mine = None,
             }
-            wear.budget.registration_mm = wear
-                .budget
-                .registration_mm
-                .max(other.budget.registration_mm);
-            let leaks = |wear: &Self| wear.sensitivity.as_ref().map(|i| i.leakage.worst());
-            if leaks(other) > leaks(&wear) {
-                wear.sensitivity.clone_from(&other.sensitivity);
-            }
-            wear.measured
-                .evidence
-                .extend(other.measured.evidence.iter().cloned());
-            wear.tip = wear.tip.or(other.tip);
+            view.evidence.extend(again.evidence.iter().cloned());
+            wear.take_worse_pose(other);
         }
         wear.refigure(None, None, settings);
         Some(wear)
     }
 
+    /// The same flank with a further view of it from elsewhere: in every cell the view that hides least counts, and of equal ones
+    /// the first. A view of another zone changes nothing.
+    #[must_use]
+    pub fn with_further(mut self, further: &Self, settings: &WearSettings) -> Self {
+        if self.field.same_grid(&further.field).is_err() {
+            return self;
+        }
+        let views = &mut self.measured.views;
+        views.push(further.measured.views[0].clone());
+        self.take_worse_pose(further);
+        self.refigure(None, None, settings);
+        self
+    }
+
+    /// Takes the uncertainty of the less certain pose; the tip if only the other one saw it.
+    fn take_worse_pose(&mut self, other: &Self) {
+        let budget = &mut self.budget;
+        budget.registration_mm = budget.registration_mm.max(other.budget.registration_mm);
+        let leaks = |wear: &Self| wear.sensitivity.as_ref().map(|i| i.leakage.worst());
+        if leaks(other) > leaks(self) {
+            self.sensitivity.clone_from(&other.sensitivity);
+        }
+        self.points += other.points;
+        self.tip = self.tip.or(other.tip);
+    }
+
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
     pub fn with(mut self, sensitivity: PoseSensitivity, settings: &WearSettings) -> Self {
-        self.measured.evidence = sensitivity.evidence.iter().cloned().collect();
+        self.measured.views[0].evidence = sensitivity.evidence.iter().cloned().collect();
         self.sensitivity = Some(sensitivity);
         self.judged = self
             .judged

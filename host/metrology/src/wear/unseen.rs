@@ -46,17 +46,36 @@ impl Unseen {
 
     /// The one of the two that may hide more.
     pub fn or(self, other: Self) -> Self {
-        let worth = |of: Self| of.share * of.depth_mm.min(1.0);
-        if worth(other) > worth(self) {
+        if other.hides_more_than(self) {
             other
         } else {
             self
         }
     }
+
+    /// Whether it may hide more loss.
+    pub fn hides_more_than(self, other: Self) -> bool {
+        let worth = |of: Self| of.share * of.depth_mm.min(1.0);
+        worth(self) > worth(other)
+    }
 }
 
 /// Unseen part of every cell. `scale` is the ratio of the cells' noise to the stated one.
 pub(super) fn of_cells(
+    discs: &Discs<'_>,
+    visibility: Option<&Visibility>,
+    scale: f64,
+) -> Vec<Unseen> {
+    let by_light = by_light(discs, visibility).into_iter();
+    let all = by_geometry(discs, visibility, scale).into_iter();
+    all.zip(by_light)
+        .map(|(all, light)| all.or(light))
+        .collect()
+}
+
+/// Unseen part of every cell by its points and rays: shadows, single openings, texture. A view from a steeper angle that shows
+/// the same cell whole disproves it.
+pub(super) fn by_geometry(
     discs: &Discs<'_>,
     visibility: Option<&Visibility>,
     scale: f64,
@@ -70,12 +89,21 @@ pub(super) fn of_cells(
     }
     if let Some(visibility) = visibility {
         let shadows = visibility.shadows(field, scale);
-        let by_light = brightness::of_cells(field, visibility.light(), slant);
-        for ((unseen, shadow), by_light) in all.iter_mut().zip(shadows).zip(by_light) {
-            *unseen = unseen.or(shadow).or(by_light);
+        for (unseen, shadow) in all.iter_mut().zip(shadows) {
+            *unseen = unseen.or(shadow);
         }
     }
     all
+}
+
+/// Unseen part of every cell by its light: evidence of openings whose points hardly scatter, which another view's points do not
+/// disprove.
+pub(super) fn by_light(discs: &Discs<'_>, visibility: Option<&Visibility>) -> Vec<Unseen> {
+    let field = discs.field();
+    match visibility {
+        Some(seen) => brightness::of_cells(field, seen.light(), seen.slant()),
+        None => vec![Unseen::default(); field.wear_mm.len()],
+    }
 }
 
 /// Depth below a level from which light came back out of an opening with an unseen floor, mm: depths from nought to there are equally
@@ -196,10 +224,10 @@ pub(crate) mod tests {
         let scale = wear.field.noise_scale();
         let discs = Discs::new(
             &wear.field,
-            &wear.measured.samples,
+            &wear.measured.views[0].samples,
             WearSettings::default().area_mm2,
         );
-        let unseen = of_cells(&discs, wear.measured.visibility.as_ref(), scale);
+        let unseen = of_cells(&discs, wear.measured.views[0].visibility.as_ref(), scale);
         let count = unseen
             .iter()
             .filter(|of| of.share * of.depth_mm > 20e-3)

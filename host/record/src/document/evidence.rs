@@ -7,7 +7,7 @@ use flankscope_profilometry::{Accumulator, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use flankscope_foundation::files;
-use flankscope_metrology::view::{PlannedView, StatedPose};
+use flankscope_metrology::view::{FurtherView, PlannedView, StatedPose};
 
 /// Measurement settings of a check that are not in its files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -35,6 +35,9 @@ pub struct Recipe {
 pub struct RecordedRecipe {
     /// Position of the stages for each view.
     pub views: Vec<PlannedView>,
+    /// Position of the stages for each further view.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub further: Vec<FurtherView>,
     /// Pattern set.
     pub patterns: PatternSet,
     /// Whether a dark frame preceded each view.
@@ -61,9 +64,21 @@ pub struct Evidence {
     pub tooth: u32,
     /// BLAKE3 of the phasors of each capture of the view, in order; empty if it was not captured completely.
     pub phasors: Vec<String>,
+    /// Captures of further views of its tooth.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub further: Vec<FurtherEvidence>,
     /// Why there are no phasors.
     #[serde(flatten)]
     pub problem: Option<Problem>,
+}
+
+/// A capture of a further view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FurtherEvidence {
+    /// Number of the view, counted from the plan's first view: the further views come after all others.
+    pub view: usize,
+    /// BLAKE3 of its phasors.
+    pub phasors: String,
 }
 
 /// Why a view was not captured completely, as it is stored: from it the same verdict follows again.

@@ -20,7 +20,7 @@ pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
     Timing, Toothing, ViewRegistration, ViewStatus, WeakDirection,
 };
-pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
+pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
 pub use identity::{IdentifiedBy, ToothIdentity};

@@ -84,6 +84,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         hashes: [("cad", "0".repeat(64))].into(),
         recipe: Recipe::default(),
         evidence: vec![Evidence {
+            further: Vec::new(),
             tooth: 12,
             phasors: vec![phasors.blake3.clone()],
             problem: None,
