@@ -6,7 +6,7 @@ use std::path::Path;
 use flankscope_gear_cad::Flank;
 use flankscope_test_requisites::at_least;
 use flankscope_tests::die::{Fine, Place, bore, write_bore};
-use flankscope_tests::{Run, inspect};
+use flankscope_tests::{Run, flankscope, inspect, run, tool_of_noise_alone};
 
 /// Heights of the judged zone, and radii less that of the tip between which damage is cut, mm.
 const ZONE_MM: [f64; 2] = [29.0, 37.0];
@@ -200,4 +200,70 @@ fn hairlines_that_are_seen_to_their_floor_are_go() {
     let run = worn([0.01, 0.02], many, &[]);
     left(&run);
     assert_eq!(run.code, 0, "{}", run.json["reason"]);
+}
+
+/// Hairlines 30 µm deep and 0.15 mm wide: with the tooth in the middle of the view one cannot say that nothing lies deeper in them, from
+/// the side one can.
+#[test]
+fn what_one_view_hides_of_a_flank_a_further_one_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let hairline = |off_mm: f64| match off_mm.abs() < 0.075 {
+        true => 0.015 * (1.0 + (std::f64::consts::PI * off_mm / 0.075).cos()),
+        false => 0.0,
+    };
+    let lines = move |[x, _]: [f64; 2]| hairline((x - 0.35).rem_euclid(0.6) - 0.3);
+    let die = die(folder.path(), &[(40, Flank::Left)], [4e-3, 0.5], lines);
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (history, frames) = (path("press.db"), path("frames"));
+    let once = tool_of_noise_alone(&folder.path().join("once"), "remeasure = 0");
+    let again = tool_of_noise_alone(&folder.path().join("again"), "");
+    let check = |tool: &str, more: &[&str]| {
+        let on = [
+            "--link",
+            "sim",
+            "--tool",
+            tool,
+            "--teeth",
+            "40",
+            "--die-mesh",
+            &die,
+        ];
+        inspect(&[&on, more].concat())
+    };
+    let alone = check(&once, &[]);
+    let both = check(&again, &["--history", &history, "--save-frames", &frames]);
+    let hidden_um = |run: &Run| {
+        let (of, truth_um) = left(run);
+        assert!(
+            of["at_least_um"].as_f64().is_none_or(|um| um <= truth_um),
+            "{of}"
+        );
+        of["hidden_um"].as_f64().unwrap_or(0.0)
+    };
+    let [one, two] = [&alone, &both].map(hidden_um);
+    assert_eq!(alone.flank(40, "left"), Some("indeterminate"));
+    assert!(two < one, "{two} of {one}");
+    assert!(both.stderr.contains("from the side"), "{}", both.stderr);
+    // As many frames again, and the evidence says of which view they are.
+    let triggered = |run: &Run| run.json["frames"]["triggered"].as_u64().unwrap();
+    assert_eq!(triggered(&both), 2 * triggered(&alone));
+    let further = both.json["evidence"][0]["further"].as_array().unwrap();
+    assert_eq!(further.len(), 1, "{further:?}");
+
+    let mut replay = flankscope();
+    let of = [
+        "replay", &history, "1", "--quiet", "--json", "-", "--tool", &again,
+    ];
+    let replay = run(replay.args(of));
+    assert_eq!(replay.code, both.code, "{}", replay.stderr);
+    assert_eq!(replay.json["same"], true, "{}", replay.json);
+    let on = [
+        "inspect", "--quiet", "--json", "-", "--frames", &frames, "--tool", &again,
+    ];
+    let recorded = run(flankscope().args(on));
+    assert_eq!(
+        recorded.json["features"], both.json["features"],
+        "{}",
+        recorded.stderr
+    );
 }

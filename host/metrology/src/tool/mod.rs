@@ -152,7 +152,8 @@ pub struct Inspect {
     /// Verdict on a figure whose guard band holds the limit.
     #[serde(default)]
     pub undecided: Undecided,
-    /// Number of repeated measurements of a view with such a figure, if there is time and they can decide it.
+    /// Number of repeated measurements of a view with such a figure, or of looks from the side at a flank of which too little was
+    /// seen, if there is time.
     #[serde(default = "default_remeasure")]
     pub remeasure: u32,
 }
