@@ -158,6 +158,7 @@ const ROOMS: &[Room] = &[
 /// with what is tested; what lies outside of the repository, and what runs in which run; and the host's pairing of triggers and
 /// frames, which the bench's fault campaign asks whether it takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
+    (CONTROLLER, &[TEST_REQUISITES]),
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
     (INSTRUMENT, &[TEST_REQUISITES]),

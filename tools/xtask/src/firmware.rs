@@ -114,7 +114,7 @@ pub fn qemu(root: &Path) -> Result<(), String> {
         return Err("qemu-system-arm is missing; get it: apt-get install qemu-system-arm".into());
     }
     println!("{EMULATED_STM32} in QEMU: protocol, contacts' interrupts and resets");
-    let mut test = crate::cargo(&["test", "--quiet", "-p", "flankscope-tests"]);
+    let mut test = crate::cargo(&["test", "--quiet", "-p", "flankscope-controller"]);
     test.args(["--test", "emulated_stm32"])
         .env("FLANKSCOPE_TEST_ALL", "1")
         .current_dir(root);

@@ -1,8 +1,9 @@
-//! Two registers that the emulator's model lacks and embassy-stm32's start waits for.
+//! Registers that the emulator's model lacks, where their value matters.
 //!
-//! The model of the STM32F405 has no RCC and no PWR: their registers read 0, so "the oscillator is ready" and "the backup domain
-//! is open" never come. During the start the memory protection unit forbids both blocks; the fault of an access ends here,
-//! and what was to be loaded is the register's value on a chip that is ready. Stores have no effect, as in the emulator.
+//! The model of the STM32F405 has no RCC, no PWR and no GPIO: their registers read 0. So "the oscillator is ready" and "the backup
+//! domain is open", for which embassy-stm32's start waits, never come, and every contact of the press is low for ever. The
+//! memory protection unit forbids these blocks; the fault of an access ends here, and what was to be loaded is the register's
+//! value on a chip that is ready, or the contacts' levels as the test has set them. Stores have no effect, as in the emulator.
 
 use core::arch::naked_asm;
 
@@ -11,11 +12,21 @@ use cortex_m::peripheral::{MPU, SCB};
 use crate::failsafe;
 
 /// RCC_CR: the internal oscillator is on and ready (RM0090, 7.3.1: its value after a reset, without the trimming).
-const RCC_CR: (u32, u32) = (0x4002_3800, 0x0000_0003);
+const RCC_CR: u32 = 0x4002_3800;
+const OSCILLATOR_READY: u32 = 0b11;
 /// PWR_CR: write access to the backup domain (RM0090, 5.4.1).
-const PWR_CR: (u32, u32) = (0x4000_7000, 1 << 8);
+const PWR_CR: u32 = 0x4000_7000;
+const BACKUP_OPEN: u32 = 1 << 8;
 
-/// Bytes that a region of the memory protection unit has at least; each register above is the first of such a block.
+/// GPIOF_IDR, in the block of GPIOF_MODER: the press's contacts.
+const GPIOF: u32 = 0x4002_1400;
+const GPIOF_IDR: u32 = GPIOF + 0x10;
+/// Where the test writes their levels: a word of RAM behind what `memory.x` gives the program.
+const CONTACTS: *const u32 = 0x2001_FC00 as *const u32;
+
+/// One region each; the first stays forbidden.
+const BLOCKS: [u32; 3] = [GPIOF, RCC_CR, PWR_CR];
+/// Bytes that a region of the memory protection unit has at least; the registers lie in the block that begins with the first.
 const BLOCK_BYTES: u32 = 32;
 
 /// Region size (2 to the power of 4 + 1 bytes), enabled, no access for anybody.
@@ -26,12 +37,12 @@ const ENABLE: u32 = 1 << 2 | 1;
 /// MMFSR: a data access was refused, and its address is known.
 const DATA_ADDRESS: u32 = 1 << 7 | 1 << 1;
 
-/// Runs the start of the hardware library with both registers answered.
+/// Runs the start of the hardware library with all of them answered; the contacts are from then on.
 pub fn answered<T>(start: impl FnOnce() -> T) -> T {
-    // SAFETY: nothing else uses the unit, and interrupts are off or use none of the two blocks.
+    // SAFETY: nothing else uses the unit.
     let unit = unsafe { &*MPU::PTR };
-    for (region, (address, _)) in [RCC_CR, PWR_CR].into_iter().enumerate() {
-        // SAFETY: regions 0 and 1 exist, and only these blocks are forbidden.
+    for (region, address) in BLOCKS.into_iter().enumerate() {
+        // SAFETY: the unit has eight regions, and every access to these blocks is completed below.
         unsafe {
             unit.rnr.write(region as u32);
             unit.rbar.write(address);
@@ -42,8 +53,13 @@ pub fn answered<T>(start: impl FnOnce() -> T) -> T {
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
     let started = start();
-    // SAFETY: the unit is off again, as after a reset.
-    unsafe { unit.ctrl.write(0) };
+    for region in [1, 2] {
+        // SAFETY: what was forbidden is as in the emulator again.
+        unsafe {
+            unit.rnr.write(region);
+            unit.rasr.write(0);
+        }
+    }
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
     started
@@ -64,7 +80,7 @@ fn slot(number: u32) -> Option<usize> {
     }
 }
 
-/// Every fault of the processor. The library's start masks interrupts, and with them the protection unit's own exception.
+/// Every fault of the processor: the protection unit's own exception is not enabled, for the library's start masks it.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]
 unsafe extern "C" fn HardFault() {
@@ -92,12 +108,21 @@ fn complete(saved: &mut Saved) -> Option<()> {
         scb.cfsr.write(status);
         (status, scb.mmfar.read())
     };
-    let (register, value) = [RCC_CR, PWR_CR]
+    if status != DATA_ADDRESS {
+        return None;
+    }
+    BLOCKS
         .into_iter()
-        .find(|(register, _)| address.wrapping_sub(*register) < BLOCK_BYTES)?;
-    let access = Access::at(saved[PC]).filter(|_| status == DATA_ADDRESS)?;
+        .find(|block| address.wrapping_sub(*block) < BLOCK_BYTES)?;
+    let access = Access::at(saved[PC])?;
     if access.loads {
-        *saved.get_mut(slot(access.register)?)? = if address == register { value } else { 0 };
+        *saved.get_mut(slot(access.register)?)? = match address {
+            RCC_CR => OSCILLATOR_READY,
+            PWR_CR => BACKUP_OPEN,
+            // SAFETY: it is RAM, outside of everything that the program has; any bits are levels.
+            GPIOF_IDR => unsafe { CONTACTS.read_volatile() },
+            _ => 0,
+        };
     }
     saved[PC] += access.bytes;
     Some(())

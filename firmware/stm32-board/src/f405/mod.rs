@@ -3,12 +3,13 @@
 //! | the model lacks | instead |
 //! |---|---|
 //! | RCC, PWR | `missing_registers`: what embassy-stm32's start waits for reads as ready |
+//! | levels of the press's contacts (GPIOF) | `missing_registers`: the test sets them, and raises their EXTI lines |
 //! | compare channels of its timers | `time`: TIM2 counts, SysTick is the alarm; embassy-stm32's time driver is not linked |
 //! | the USARTs' interrupts of an empty transmitter | [`TransmitterEmpty`] |
 //! | the USARTs' flag of an idle line | [`EAGER_READS`] |
 //! | registers that outlive a reset (RTC) | [`Kept`]: RAM that no start clears |
 //! | reset flags (RCC) | none is ever set |
-//! | GPIO, IWDG, DAC, I2C, DMA | nothing: outputs and feeding are seen in the emulator's log, inputs read low, buses time out |
+//! | other GPIO, IWDG, DAC, I2C, DMA | nothing: outputs and feeding are seen in the emulator's log, inputs read low, buses time out |
 //!
 //! So this image is for the emulator: on a chip it would run with another clock and forget why it was reset.
 
