@@ -5,7 +5,7 @@
 //! this test ── Hello, Status ──────────────► USART3 ┐
 //!           ◄─ "ST" to the stages ────────── USART2 │ flankscope-netduinoplus2-f405
 //!           ── levels in RAM, edges ───────► EXTI   │
-//!           ── interrupt of the supply's detector ► │
+//!           ── interrupt of the supply's detector, RAM overwritten ► │
 //!           ◄─ log of every register that the machine has no model of: the outputs, the watchdog ┘
 //! ```
 //! `firmware/README.md` says what of a board this shows and what it does not.
@@ -17,9 +17,10 @@ use std::process::{Child, Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
 use flankscope_protocol::message::Boot;
+use flankscope_protocol::stage::STAGE_CONFIG_VERSION;
 use flankscope_protocol::{
     Command, Decoder, Event, Header, Identity, Kind, MAX_FRAME_BYTES, PROTOCOL_VERSION, Refusal,
-    Reply, SCHEMA_HASH, State, Status, encode,
+    Reply, SCHEMA_HASH, StageConfig, StageName, State, Status, encode,
 };
 use flankscope_test_requisites::emulated_board;
 
@@ -32,6 +33,10 @@ const SILENCE: Duration = Duration::from_millis(300);
 const CONTACTS: u32 = 0x2001_FC00;
 const PRESS_OPEN_A: u32 = 0;
 const CYCLE: u32 = 7;
+/// Where the image's data begins; it has 22 KB of them.
+const RAM: u32 = 0x2000_0000;
+/// Times that the stages are told to stop after a start: at every speed that their line may have.
+const STOPS: usize = 7;
 /// Number of the interrupt of the supply's detector (RM0090, table 62).
 const PVD: u32 = 1;
 
@@ -68,6 +73,8 @@ impl Machine {
         let path = |name: &str| folder.path().join(name).display().to_string();
         let mut process = Process::new("qemu-system-arm");
         process.args(["-no-user-config", "-machine", "netduinoplus2"]);
+        // A processor that is awake has the time of its instructions (32 ns each), not of the machine that runs it.
+        process.args(["-icount", "shift=5"]);
         process.args(["-display", "none", "-monitor", "none", "-serial", "null"]);
         process.args(["-serial", &format!("unix:{}", path("stage"))]);
         process.args(["-serial", &format!("unix:{}", path("host"))]);
@@ -127,16 +134,21 @@ impl Machine {
         String::from_utf8_lossy(&log).into_owned()
     }
 
-    /// Waits until the stages have been told to stop, as after a start: at every speed of their line.
-    fn stages_stopped(&mut self) {
+    /// What the stages are told, until it ends in `last`.
+    fn stages_told(&mut self, last: &str) -> String {
         let (start, mut heard) = (Instant::now(), String::new());
-        while start.elapsed() < PATIENCE && !heard.contains("ST\r") {
+        while start.elapsed() < PATIENCE && !heard.ends_with(last) {
             let mut buffer = [0; 256];
             let count = read(&mut self.stage, &mut buffer);
             heard.push_str(&String::from_utf8_lossy(&buffer[..count]));
         }
-        assert!(heard.starts_with("ST\r"), "the first words: {heard:?}");
-        while read(&mut self.stage, &mut [0; 256]) > 0 {}
+        heard
+    }
+
+    /// Waits until the stages have been told to stop, and nothing else, as after a start.
+    fn stages_stopped(&mut self) {
+        let stops = "ST\r".repeat(STOPS);
+        assert_eq!(self.stages_told(&stops), stops);
     }
 
     fn send(&mut self, command: &Command) {
@@ -200,6 +212,15 @@ impl Machine {
         }
     }
 
+    /// What the stages were reported to be.
+    fn names(&self) -> Vec<(u8, Option<StageName>)> {
+        let names = self.events.iter().filter_map(|event| match event {
+            Event::StageIdentity { axis, answer, .. } => Some((*axis, answer.ok())),
+            _ => None,
+        });
+        names.collect()
+    }
+
     fn cycles_reported(&self) -> usize {
         let cycle = |event: &&Event| matches!(event, Event::Cycle { .. });
         self.events.iter().filter(cycle).count()
@@ -243,6 +264,38 @@ fn read(stream: &mut UnixStream, buffer: &mut [u8]) -> usize {
     }
 }
 
+/// The name of an axis that [`answer_as_stages`] gives.
+fn name(axis: u8) -> String {
+    format!("URS100BCC,SN{axis}")
+}
+
+/// Answers as two stages without an error do, until the emulator ends.
+fn answer_as_stages(mut line: UnixStream) {
+    let mut question = Vec::new();
+    let mut byte = [0];
+    loop {
+        match line.read(&mut byte) {
+            Ok(0) => return,
+            Ok(_) if byte != *b"\r" => {
+                question.extend(byte);
+                continue;
+            }
+            Ok(_) => {}
+            Err(error) if error.kind() == ErrorKind::WouldBlock => continue,
+            Err(_) => return,
+        }
+        let answer = match question.as_slice() {
+            b"TB?" => "0, 0, NO ERROR DETECTED".into(),
+            [axis, b'I', b'D', b'?'] => name(axis - b'0'),
+            _ => String::new(),
+        };
+        question.clear();
+        if !answer.is_empty() && write!(line, "{answer}\r\n").is_err() {
+            return;
+        }
+    }
+}
+
 /// Pins of a port that the log sets low and high.
 fn driven(log: &str, port: char) -> (u32, u32) {
     let writes = log.lines().filter_map(|line| {
@@ -264,6 +317,15 @@ fn assert_started_low(log: &str) {
     assert_eq!((low & OUTPUTS_G, high & OUTPUTS_G), (OUTPUTS_G, 0));
 }
 
+/// What the running program still did, then the way down, then the clocks of the next start.
+#[track_caller]
+fn assert_fell_safe(log: &str) {
+    let (down, start) = log.split_once("RCC: ").expect("a reset");
+    let (low, high) = driven(down, 'E');
+    assert_eq!((low & DARK_E, high & OUTPUTS_E), (DARK_E, 0), "{down}");
+    assert_started_low(start);
+}
+
 fn image() -> Option<PathBuf> {
     emulated_board("netduinoplus2-f405")
 }
@@ -281,13 +343,39 @@ fn a_start_sets_the_outputs_low_and_stops_the_stages_and_then_answers() {
     assert_eq!(identity.boot, Boot::Requested);
     // Nobody answers on a bus that the model lacks, and the plug's contact is low.
     assert_eq!((identity.lens, identity.projectors), (false, 1));
-    // A hundred frames back to back: the receiver's interrupt and the transmitter's.
-    for _ in 0..100 {
+    // The receiver's interrupt and the transmitter's, again and again.
+    for _ in 0..30 {
         let status = machine.status();
         assert_eq!((status.state, status.fault), (State::Unhomed, None));
         assert!(!status.led_on && !status.press.head_clear, "{status:?}");
         assert_eq!(status.frames_dropped, 0);
     }
+}
+
+#[test]
+fn the_stages_are_asked_and_answer_over_their_own_line() {
+    let Some(image) = image() else { return };
+    let mut machine = Machine::start(&image);
+    machine.stages_stopped();
+    machine.hello(7);
+    let stage = StageConfig::DEFAULT;
+    let configure = Command::ConfigureStage {
+        version: STAGE_CONFIG_VERSION,
+        stage,
+    };
+    assert_eq!(machine.ask(&configure), Reply::Accepted);
+    let line = machine.stage.try_clone().unwrap();
+    std::thread::spawn(move || answer_as_stages(line));
+    let axes = [stage.rotation.number, stage.vertical.number];
+    let named = axes.map(|axis| (axis, StageName::of(name(axis).as_bytes())));
+    // An answer may come late where the machine is busy with something else: it is asked for again.
+    let asked = (0..20).any(|_| {
+        machine.events.clear();
+        assert_eq!(machine.ask(&Command::IdentifyStages), Reply::Accepted);
+        machine.listen(PATIENCE, |machine| machine.names().len() == 2);
+        machine.names() == named
+    });
+    assert!(asked, "{:?}", machine.events);
 }
 
 #[test]
@@ -330,12 +418,7 @@ fn a_sinking_supply_drops_the_outputs_and_the_next_start_stops_the_stages_and_sa
         machine.act(&format!("set_irq_in armv7m unnamed-gpio-in {PVD} {level}"));
     }
     machine.stages_stopped();
-    let log = machine.log().split_off(before);
-    // What the running program still did, then the way down, then the clocks of the next start.
-    let (down, start) = log.split_once("RCC: ").expect("a reset");
-    let (low, high) = driven(down, 'E');
-    assert_eq!((low & DARK_E, high & OUTPUTS_E), (DARK_E, 0), "{down}");
-    assert_started_low(start);
+    assert_fell_safe(&machine.log()[before..]);
     // It has forgotten the session, not the cause.
     let forgotten = Reply::Refused(Refusal::NoSession { got: 7 });
     assert_eq!(machine.ask(&Command::Status), forgotten);
@@ -345,4 +428,19 @@ fn a_sinking_supply_drops_the_outputs_and_the_next_start_stops_the_stages_and_sa
     machine.order("{\"execute\":\"system_reset\"}");
     machine.stages_stopped();
     assert_eq!(machine.hello(9).boot, Boot::Requested);
+}
+
+/// Whatever the program then does, it ends in the processor's fault.
+#[test]
+fn a_program_whose_memory_is_overwritten_drops_the_outputs_and_starts_anew() {
+    let Some(image) = image() else { return };
+    let mut machine = Machine::start(&image);
+    machine.stages_stopped();
+    let before = machine.log().len();
+    machine.act(&format!("memset {RAM:#x} 0x4000 0xff"));
+    // A byte arrives, for a buffer that is no more.
+    machine.host.write_all(&[0]).unwrap();
+    machine.stages_stopped();
+    assert_fell_safe(&machine.log()[before..]);
+    assert_eq!(machine.hello(7).boot, Boot::Panic);
 }

@@ -103,37 +103,29 @@ impl ResetFlags {
     }
 }
 
-/// Mark and cause; any content is one.
+/// The mark; any content is one.
 #[unsafe(link_section = ".uninit.KEPT")]
-static KEPT: MaybeUninit<[AtomicU32; 2]> = MaybeUninit::uninit();
+static KEPT: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
 
 /// RAM that no start clears, for the model lacks the backup domain's registers.
-pub struct Kept(());
+pub struct Kept(&'static AtomicU32);
 
 impl Kept {
-    /// Nothing to open.
     pub fn open() -> Self {
-        Self(())
+        // SAFETY: any bits are a valid word.
+        Self(unsafe { KEPT.assume_init_ref() })
     }
 
-    fn words() -> &'static [AtomicU32; 2] {
-        // SAFETY: any bits are valid words, and only the processor writes them.
-        unsafe { KEPT.assume_init_ref() }
-    }
-
-    /// The mark, once; the cause stays for a debugger.
+    /// The mark, once.
     pub fn take_mark(&self) -> u32 {
-        let [mark, _] = Self::words();
-        let found = mark.load(Ordering::Relaxed);
-        mark.store(0, Ordering::Relaxed);
-        found
+        let mark = self.0.load(Ordering::Relaxed);
+        self.0.store(0, Ordering::Relaxed);
+        mark
     }
 
-    /// Cause first, so that a mark has one.
-    pub fn put(&self, new_mark: u32, new_cause: u32) {
-        let [mark, cause] = Self::words();
-        cause.store(new_cause, Ordering::Release);
-        mark.store(new_mark, Ordering::Release);
+    /// Without the cause, which is for a board's debugger.
+    pub fn put(&self, mark: u32, _cause: u32) {
+        self.0.store(mark, Ordering::Release);
     }
 }
 

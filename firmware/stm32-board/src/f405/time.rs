@@ -2,6 +2,9 @@
 //!
 //! The emulator's model of the timers has no compare channels, with which embassy-stm32's own driver wakes, and no clock from RCC:
 //! they count at 1 GHz. Its SysTick has the board's 168 MHz.
+//!
+//! The emulator's time is that of the machine below, which may be busy. What an alarm is late by is not the program's: it is taken
+//! off the clock, so that no time limit expires because the emulator stood still.
 
 use core::cell::{Cell, RefCell};
 use core::task::Waker;
@@ -18,6 +21,8 @@ const PRESCALER: u16 = 999;
 const SYSTICK_MHZ: u32 = 168;
 /// Longest time to an alarm: the counter of 24 bits holds 99 ms.
 const SLICE_US: u64 = 50_000;
+/// Later than any alarm is by the program's own instructions.
+const LATE_US: u64 = 1_000;
 /// Counts the processor's clock, interrupts, runs.
 const SYSTICK_ON: u32 = 0b111;
 
@@ -25,11 +30,16 @@ struct Clock {
     queue: Mutex<RefCell<Queue>>,
     /// The counter as last read, and its wraps (one in 71 minutes, seen by an alarm at the latest).
     seen: Mutex<Cell<(u32, u32)>>,
+    alarm_at: Mutex<Cell<u64>>,
+    /// Time taken off so far.
+    overslept_us: Mutex<Cell<u64>>,
 }
 
 embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
     queue: Mutex::new(RefCell::new(Queue::new())),
     seen: Mutex::new(Cell::new((0, 0))),
+    alarm_at: Mutex::new(Cell::new(u64::MAX)),
+    overslept_us: Mutex::new(Cell::new(0)),
 });
 
 /// Starts counter and alarm.
@@ -47,7 +57,19 @@ impl Clock {
             wraps = wraps.wrapping_add(1);
         }
         self.seen.borrow(cs).set((count, wraps));
-        u64::from(wraps) << 32 | u64::from(count)
+        let raw = u64::from(wraps) << 32 | u64::from(count);
+        raw.saturating_sub(self.overslept_us.borrow(cs).get())
+    }
+
+    fn on_alarm(&self, cs: CriticalSection<'_>) {
+        let late = self
+            .now_in(cs)
+            .saturating_sub(self.alarm_at.borrow(cs).get());
+        if late > LATE_US {
+            let overslept = self.overslept_us.borrow(cs);
+            overslept.set(overslept.get() + late);
+        }
+        self.serve(cs);
     }
 
     /// Wakes what is due and sets the alarm for what is not.
@@ -57,8 +79,12 @@ impl Clock {
             return;
         };
         let now = self.now_in(cs);
-        let ahead_us = queue.next_expiration(now) - now;
-        let ticks = ahead_us.clamp(1, SLICE_US) as u32 * SYSTICK_MHZ;
+        let ahead_us = queue
+            .next_expiration(now)
+            .saturating_sub(now)
+            .clamp(1, SLICE_US);
+        self.alarm_at.borrow(cs).set(now + ahead_us);
+        let ticks = ahead_us as u32 * SYSTICK_MHZ;
         // SAFETY: nothing else uses SysTick.
         unsafe {
             let alarm = &*SYST::PTR;
@@ -87,5 +113,5 @@ impl Driver for Clock {
 
 #[exception]
 fn SysTick() {
-    critical_section::with(|cs| CLOCK.serve(cs));
+    critical_section::with(|cs| CLOCK.on_alarm(cs));
 }
