@@ -85,6 +85,8 @@ impl Machine {
         process.arg("-kernel").arg(image).stdin(Stdio::null());
         let child = process.spawn().unwrap();
         let [host, stage, bench, monitor] = listeners.map(|listener| accept(&listener));
+        // Asked and answered; the other ends speak when they want to.
+        bench.set_read_timeout(Some(PATIENCE)).unwrap();
         let mut machine = Self {
             child,
             folder,

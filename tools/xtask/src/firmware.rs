@@ -23,7 +23,8 @@ pub const EMULATED_IMAGE: &str =
 /// Beside it, the one that the bench can make go wrong.
 const FAULT_INJECTION_IMAGE: &str = "flankscope-mps2-an386-fault-injection";
 /// The board's program on a chip that the emulator knows.
-pub const EMULATED_STM32: &str = "netduinoplus2-f405";
+const EMULATED_STM32: &str = "netduinoplus2-f405";
+pub const EMULATED_STM32_IMAGE: &str = "firmware/netduinoplus2-f405/target/thumbv7em-none-eabihf/release/flankscope-netduinoplus2-f405";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 /// `rust-version` of the images.
 const LEAST_MINOR: u32 = 95;
