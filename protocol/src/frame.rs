@@ -210,6 +210,8 @@ impl Frame<'_> {
     ///
     /// # Errors
     /// The frame carries another kind, or the payload is not exactly one message of this version.
+    // A decoder is a kilobyte and more: not once for every place that an optimiser finds for it.
+    #[inline(never)]
     pub fn message<M: Message>(&self) -> Result<M, DecodeError> {
         if self.kind != M::KIND {
             return Err(DecodeError::WrongKind {

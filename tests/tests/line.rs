@@ -67,7 +67,7 @@ fn the_host_sets_its_port_as_the_protocol_has_it() {
 #[test]
 fn the_boards_set_their_uarts_as_the_host_sets_its_port() {
     let host = host_line();
-    for board in ["mps2-an386", "nucleo-h743zi"] {
+    for board in ["mps2-an386", "nucleo-h743zi", "netduinoplus2-f405"] {
         let Some(image) = board_image(board) else {
             continue;
         };

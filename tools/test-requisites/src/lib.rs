@@ -96,13 +96,28 @@ pub fn board_image(board: &str) -> Option<PathBuf> {
 pub fn emulated_image(name: &str) -> Option<PathBuf> {
     let folder = "firmware/mps2-an386/target/thumbv7em-none-eabihf/release";
     let image = workspace().join(folder).join(name);
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let emulator = std::env::split_paths(&path).any(|f| f.join("qemu-system-arm").is_file());
-    match (image.is_file(), emulator) {
+    match (image.is_file(), has_emulator()) {
         (true, true) => Some(image),
         (false, _) => missed(&format!("{name}, which cargo xtask firmware builds,")),
         (_, false) => missed("qemu-system-arm"),
     }
+}
+
+/// The image of a board that the emulator knows by itself, where the emulator is there, too.
+///
+/// # Panics
+/// One of them is missing although everything must run.
+#[must_use]
+pub fn emulated_board(board: &str) -> Option<PathBuf> {
+    match has_emulator() {
+        true => board_image(board),
+        false => missed("qemu-system-arm"),
+    }
+}
+
+fn has_emulator() -> bool {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file())
 }
 
 /// A Python that has these modules: that of the folder in `FLANKSCOPE_PYTHON`, of `target/python` (`.ci/run` makes it), or the

@@ -12,6 +12,7 @@ const PROTOCOL: &str = "protocol";
 const CONTROLLER: &str = "firmware/controller";
 const PIN_WIRE: &str = "firmware/pin-wire";
 const SIM: &str = "firmware/sim";
+const STM32_BOARD: &str = "firmware/stm32-board";
 const FRAMES: &str = "host/frames";
 const CAMERA: &str = "host/camera";
 const FOUNDATION: &str = "host/foundation";
@@ -61,7 +62,9 @@ const ROOMS: &[Room] = &[
     (PIN_WIRE, &[]),
     (SIM, &[PROTOCOL, CONTROLLER]),
     ("firmware/mps2-an386", &[PROTOCOL, CONTROLLER, PIN_WIRE]),
-    ("firmware/nucleo-h743zi", &[PROTOCOL, CONTROLLER]),
+    (STM32_BOARD, &[PROTOCOL, CONTROLLER]),
+    ("firmware/nucleo-h743zi", &[STM32_BOARD]),
+    ("firmware/netduinoplus2-f405", &[STM32_BOARD]),
     (FRAMES, &[PROTOCOL]),
     (CAMERA, &[FRAMES, FOUNDATION]),
     (FOUNDATION, &[]),
@@ -155,6 +158,7 @@ const ROOMS: &[Room] = &[
 /// with what is tested; what lies outside of the repository, and what runs in which run; and the host's pairing of triggers and
 /// frames, which the bench's fault campaign asks whether it takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
+    (CONTROLLER, &[TEST_REQUISITES]),
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
     (INSTRUMENT, &[TEST_REQUISITES]),

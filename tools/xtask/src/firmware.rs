@@ -22,6 +22,9 @@ pub const EMULATED_IMAGE: &str =
     "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
 /// Beside it, the one that the bench can make go wrong.
 const FAULT_INJECTION_IMAGE: &str = "flankscope-mps2-an386-fault-injection";
+/// The board's program on a chip that the emulator knows.
+const EMULATED_STM32: &str = "netduinoplus2-f405";
+pub const EMULATED_STM32_IMAGE: &str = "firmware/netduinoplus2-f405/target/thumbv7em-none-eabihf/release/flankscope-netduinoplus2-f405";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 /// `rust-version` of the images.
 const LEAST_MINOR: u32 = 95;
@@ -30,7 +33,7 @@ const LEAST_MINOR: u32 = 95;
 struct Board {
     folder: &'static str,
     /// Its other image.
-    also: Variant,
+    also: Option<Variant>,
     /// Its hardware library has panicking paths of its own: they become traps.
     traps: bool,
 }
@@ -43,23 +46,28 @@ struct Variant {
     flashed: bool,
 }
 
-const BOARDS: [Board; 2] = [
+const BOARDS: [Board; 3] = [
     Board {
         folder: "mps2-an386",
-        also: Variant {
+        also: Some(Variant {
             feature: "fault-injection",
             name: FAULT_INJECTION_IMAGE,
             flashed: false,
-        },
+        }),
         traps: false,
     },
     Board {
         folder: "nucleo-h743zi",
-        also: Variant {
+        also: Some(Variant {
             feature: "dlp5500",
             name: "flankscope-nucleo-h743zi-dlp5500",
             flashed: true,
-        },
+        }),
+        traps: true,
+    },
+    Board {
+        folder: EMULATED_STM32,
+        also: None,
         traps: true,
     },
 ];
@@ -73,20 +81,22 @@ struct Toolchain {
     update: &'static str,
 }
 
-/// Builds both images and fails if one breaks a budget.
+/// Builds every image and fails if one breaks a budget.
 pub fn build(root: &Path) -> Result<(), String> {
     let toolchain = toolchain()?;
     let mut broken = Vec::new();
     for board in &BOARDS {
-        let Variant {
+        if let Some(Variant {
             feature,
             name,
             flashed,
-        } = board.also;
-        let path = compile(root, board, &toolchain, &["--features", feature])?;
-        let kept = path.with_file_name(name);
-        std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
-        broken.extend(judge(name, &kept, flashed)?);
+        }) = board.also
+        {
+            let path = compile(root, board, &toolchain, &["--features", feature])?;
+            let kept = path.with_file_name(name);
+            std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+            broken.extend(judge(name, &kept, flashed)?);
+        }
         let path = compile(root, board, &toolchain, &[])?;
         broken.extend(judge(board.folder, &path, true)?);
     }
@@ -97,12 +107,19 @@ pub fn build(root: &Path) -> Result<(), String> {
     }
 }
 
-/// Runs the in-situ check in-process and through the emulated image, compares them and prints the image's timing.
+/// Runs the emulated STM32's test, then the in-situ check in-process and through the emulated image, compares them and prints the
+/// image's timing.
 pub fn qemu(root: &Path) -> Result<(), String> {
     build(root)?;
     if !is_on_path("qemu-system-arm") {
         return Err("qemu-system-arm is missing; get it: apt-get install qemu-system-arm".into());
     }
+    println!("{EMULATED_STM32} in QEMU: protocol, contacts' interrupts and resets");
+    let mut test = crate::cargo(&["test", "--quiet", "-p", "flankscope-controller"]);
+    test.args(["--test", "emulated_stm32"])
+        .env("FLANKSCOPE_TEST_ALL", "1")
+        .current_dir(root);
+    crate::run(test)?;
     let sim = inspect(root, &["--link", "sim", "--speed", "max"])?;
     let emulated = inspect(root, &["--link", "qemu"])?;
     let figures = &emulated["truth"]["controller"];

@@ -23,8 +23,9 @@ cargo xtask COMMAND
   python                 the Python package: installed by pip into an environment below target, its tests, its example, its types
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
-  firmware               both board images, with their budgets
-  qemu                   the check through the emulated image: same verdict as in-process, and its timing
+  firmware               every board image, with its budgets
+  qemu                   the board's program on an emulated STM32, then the check through the emulated image: same verdict as
+                         in-process, and its timing
   demo                   the README's first command, as a newcomer runs it
   bench [--peers VENV]   our figures beside other tools', on the same data in one run (BENCHMARK.md)
   bench --instructions   instructions of the hot kernels, counted by valgrind; fails where one became dearer
@@ -173,7 +174,13 @@ fn features() -> &'static [&'static str] {
 fn lint() -> Result<(), String> {
     run(cargo(&["fmt", "--all", "--check"]))?;
     // The images are workspaces of their own, and so is the module for Python.
-    for other in ["firmware/mps2-an386", "firmware/nucleo-h743zi", PYTHON] {
+    for other in [
+        "firmware/mps2-an386",
+        "firmware/stm32-board",
+        "firmware/nucleo-h743zi",
+        "firmware/netduinoplus2-f405",
+        PYTHON,
+    ] {
         let mut fmt = cargo(&["fmt", "--check"]);
         fmt.current_dir(root().join(other));
         run(fmt)?;

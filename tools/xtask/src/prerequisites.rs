@@ -40,10 +40,12 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "mount -t tmpfs tmpfs /dev/shm",
         });
     }
-    if !firmware::is_on_path("qemu-system-arm") || !root.join(firmware::EMULATED_IMAGE).is_file() {
+    let images = [firmware::EMULATED_IMAGE, firmware::EMULATED_STM32_IMAGE];
+    let images = images.iter().all(|image| root.join(image).is_file());
+    if !firmware::is_on_path("qemu-system-arm") || !images {
         missing.push(Missing {
-            what: "the check through the controller's Cortex-M image",
-            needs: "qemu-system-arm and the image",
+            what: "the check through the controller's Cortex-M image, and the board's program on an emulated STM32",
+            needs: "qemu-system-arm and the images",
             how: "apt-get update && apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }

@@ -1,4 +1,6 @@
-//! Pins of the NUCLEO-H743ZI2 and what is on them. The table in `firmware/README.md` is this file in words.
+//! Pins of the board and what is on them. The table in `firmware/README.md` is this file in words.
+//!
+//! Part of each image for an STM32 board, not a crate: what differs from chip to chip is the image's own module `chip`.
 
 use embassy_stm32::dac::{Dac, DacChannel, Value};
 use embassy_stm32::exti::{self, ExtiInput};
@@ -7,13 +9,12 @@ use embassy_stm32::i2c::{self, I2c, Master};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::mode::{Async, Blocking};
 use embassy_stm32::peripherals::{
-    DMA1_CH0, DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, DMA1_CH5, I2C1, I2C2, I2C3, IWDG1, USART2,
-    USART3,
+    DMA1_CH0, DMA1_CH2, DMA1_CH3, DMA1_CH4, DMA1_CH6, DMA1_CH7, I2C1, I2C2, I2C3,
 };
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Config, Peri, bind_interrupts, dma, interrupt, pac, rcc};
+use embassy_stm32::{Peri, bind_interrupts, dma, interrupt, pac};
 use embassy_time::Duration;
 use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
@@ -31,6 +32,8 @@ use flankscope_protocol::{
 };
 use static_cell::StaticCell;
 
+use crate::chip::{self, UartIrqs};
+
 bind_interrupts!(struct Irqs {
     I2C1_EV => i2c::EventInterruptHandler<I2C1>;
     I2C1_ER => i2c::ErrorInterruptHandler<I2C1>;
@@ -39,13 +42,11 @@ bind_interrupts!(struct Irqs {
     I2C3_EV => i2c::EventInterruptHandler<I2C3>;
     I2C3_ER => i2c::ErrorInterruptHandler<I2C3>;
     DMA1_STREAM0 => dma::InterruptHandler<DMA1_CH0>;
-    DMA1_STREAM1 => dma::InterruptHandler<DMA1_CH1>;
     DMA1_STREAM2 => dma::InterruptHandler<DMA1_CH2>;
     DMA1_STREAM3 => dma::InterruptHandler<DMA1_CH3>;
     DMA1_STREAM4 => dma::InterruptHandler<DMA1_CH4>;
-    DMA1_STREAM5 => dma::InterruptHandler<DMA1_CH5>;
-    USART2 => usart::BufferedInterruptHandler<USART2>;
-    USART3 => usart::BufferedInterruptHandler<USART3>;
+    DMA1_STREAM6 => dma::InterruptHandler<DMA1_CH6>;
+    DMA1_STREAM7 => dma::InterruptHandler<DMA1_CH7>;
     EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
     EXTI1 => exti::InterruptHandler<interrupt::typelevel::EXTI1>;
     EXTI2 => exti::InterruptHandler<interrupt::typelevel::EXTI2>;
@@ -112,7 +113,7 @@ pub struct Board {
 impl Board {
     /// Sets clocks and pins: every output low, before anything else is done. `None` if a UART refuses its settings, which are fixed.
     pub fn take() -> Option<Self> {
-        let mut p = embassy_stm32::init(clocks());
+        let mut p = chip::init();
         watch_supply();
         let low = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::Low, Speed::Low);
         let [led, second_led, head_clear_1, head_clear_2] =
@@ -125,9 +126,10 @@ impl Board {
         let mut bus = i2c::Config::default();
         bus.frequency = Hertz(BUS_HZ);
         bus.timeout = BUS_TIMEOUT;
-        let patterns = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH0, p.DMA1_CH1, Irqs, bus);
+        // Each bus on the DMA channels that an STM32F4 has wired to it; an STM32H7 has them all at its choice.
+        let patterns = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH6, p.DMA1_CH0, Irqs, bus);
         // A bus of its own: a lens on a long cable that holds it down takes no pattern with it.
-        let second_patterns = I2c::new(p.I2C3, p.PA8, p.PC9, p.DMA1_CH4, p.DMA1_CH5, Irqs, bus);
+        let second_patterns = I2c::new(p.I2C3, p.PA8, p.PC9, p.DMA1_CH4, p.DMA1_CH2, Irqs, bus);
         let [first_current, second_current] =
             LedCurrent::both(Dac::new_blocking(p.DAC1, p.PA4, p.PA5));
         // A bridge in its plug: what is not plugged in is not there.
@@ -146,7 +148,7 @@ impl Board {
                 port: DmdController::new(second_patterns, PATTERNS),
             },
         };
-        let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH2, p.DMA1_CH3, Irqs, bus);
+        let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH7, p.DMA1_CH3, Irqs, bus);
         let optics = Optics {
             first: LightEngine {
                 led: PinLed {
@@ -186,19 +188,26 @@ impl Board {
         static STAGE: StaticCell<[[u8; 128]; 2]> = StaticCell::new();
         let settings = uart(HOST_LINE.line());
         let [to_host, from_host] = HOST.try_init([[0; MAX_FRAME_BYTES]; 2])?;
-        let host =
-            BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
+        let host = BufferedUart::new(
+            p.USART3, p.PD9, p.PD8, to_host, from_host, UartIrqs, settings,
+        )
+        .ok()?;
         // As a host has it set later.
         let settings = uart(StageConfig::DEFAULT.line);
         let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
-        let stage =
-            BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
+        let stage = BufferedUart::new(
+            p.USART2, p.PD6, p.PD5, to_stage, from_stage, UartIrqs, settings,
+        )
+        .ok()?;
         Some(Self {
             press,
             optics,
             host,
             stage: StageUart(stage),
-            watchdog: BoardWatchdog(IndependentWatchdog::new(p.IWDG1, WATCHDOG_US)),
+            watchdog: BoardWatchdog(IndependentWatchdog::new(
+                chip::watchdog_unit!(p),
+                WATCHDOG_US,
+            )),
         })
     }
 }
@@ -235,6 +244,7 @@ impl Write for StageUart {
 fn uart(line: Line) -> usart::Config {
     let mut settings = usart::Config::default();
     settings.baudrate = line.baud;
+    settings.eager_reads = chip::EAGER_READS;
     settings.data_bits = match line.data_bits {
         7 => usart::DataBits::DataBits7,
         _ => usart::DataBits::DataBits8,
@@ -255,29 +265,6 @@ const _: () = assert!(
     matches!(Line::HOST.flow, FlowControl::None),
     "the host's UART has no pins for flow control"
 );
-
-/// 400 MHz from the internal oscillator (64 MHz / 4 * 50 / 2), buses at 200 and 100 MHz.
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.rcc.hsi = Some(rcc::HSIPrescaler::DIV1);
-    config.rcc.pll1 = Some(rcc::Pll {
-        source: rcc::PllSource::HSI,
-        prediv: rcc::PllPreDiv::DIV4,
-        mul: rcc::PllMul::MUL50,
-        fracn: None,
-        divp: Some(rcc::PllDiv::DIV2),
-        divq: None,
-        divr: None,
-    });
-    config.rcc.sys = rcc::Sysclk::PLL1_P;
-    config.rcc.ahb_pre = rcc::AHBPrescaler::DIV2;
-    config.rcc.apb1_pre = rcc::APBPrescaler::DIV2;
-    config.rcc.apb2_pre = rcc::APBPrescaler::DIV2;
-    config.rcc.apb3_pre = rcc::APBPrescaler::DIV2;
-    config.rcc.apb4_pre = rcc::APBPrescaler::DIV2;
-    config.rcc.voltage_scale = rcc::VoltageScale::Scale1;
-    config
-}
 
 /// The LED driver's current input: full scale of the converter is the largest current allowed.
 pub struct LedCurrent(DacChannel<'static, Blocking>);
@@ -300,7 +287,7 @@ impl CurrentSetting for LedCurrent {
 
 /// The independent watchdog: its clock is its own, and once started nothing but a reset stops it. The reset makes every
 /// pin an input, so that the outside's pull-downs drop the outputs.
-pub struct BoardWatchdog(IndependentWatchdog<'static, IWDG1>);
+pub struct BoardWatchdog(IndependentWatchdog<'static, chip::WatchdogUnit>);
 
 impl BoardWatchdog {
     /// From here on it must be fed.
@@ -315,76 +302,10 @@ impl Watchdog for BoardWatchdog {
     }
 }
 
-/// What the chip says made the reset before this start.
-pub struct ResetFlags {
-    pub watchdog: bool,
-    /// Power came on, or fell below the brown-out level.
-    pub power: bool,
-}
-
-impl ResetFlags {
-    /// Reads and forgets them.
-    pub fn take() -> Self {
-        let causes = pac::RCC.rsr();
-        let read = causes.read();
-        causes.modify(|bits| bits.set_rmvf(true));
-        Self {
-            watchdog: read.iwdg1rstf(),
-            power: read.porrstf() || read.borrstf(),
-        }
-    }
-}
-
-/// Two of the backup domain's registers: they keep their content over every reset but the loss of power. The RAM does not: it is
-/// written in words of 64 bits with their ECC, and a reset may take the one that still waits to be completed.
-pub struct Kept(());
-
-impl Kept {
-    const MARK: usize = 0;
-    const CAUSE: usize = 1;
-
-    /// Clock on, write protection off. For use before interrupts are on, or after they are off.
-    pub fn open() -> Self {
-        pac::RCC.apb4enr().modify(|bits| bits.set_rtcapben(true));
-        // The clock arrives before the access behind this read.
-        let _clocked = pac::RCC.apb4enr().read();
-        pac::PWR.cr1().modify(|bits| bits.set_dbp(true));
-        while !pac::PWR.cr1().read().dbp() {}
-        Self(())
-    }
-
-    /// The mark, once; the cause stays for a debugger.
-    pub fn take_mark(&self) -> u32 {
-        let mark = pac::RTC.bkpr(Self::MARK).read().bkp();
-        Self::write(Self::MARK, 0);
-        mark
-    }
-
-    /// Cause first, so that a mark has one.
-    pub fn put(&self, mark: u32, cause: u32) {
-        Self::write(Self::CAUSE, cause);
-        Self::write(Self::MARK, mark);
-    }
-
-    /// Until it reads back, a few times at most: a reset is due, with or without it.
-    fn write(at: usize, value: u32) {
-        for _ in 0..4 {
-            pac::RTC.bkpr(at).write(|bits| bits.set_bkp(value));
-            cortex_m::asm::dsb();
-            if pac::RTC.bkpr(at).read().bkp() == value {
-                return;
-            }
-        }
-    }
-}
-
-/// Threshold of the supply's detector: 2.85 V falling (RM0433, PWR_CR1.PLS). Above the highest brown-out level of the option bytes.
-const SUPPLY_LEVEL: u8 = 0b110;
-
-/// Waits for the supply, then watches it: below the threshold `PVD_AVD` drops the outputs.
+/// Waits for the supply, then watches it: below the threshold its interrupt drops the outputs.
 fn watch_supply() {
     pac::PWR.cr1().modify(|bits| {
-        bits.set_pls(SUPPLY_LEVEL);
+        bits.set_pls(chip::SUPPLY_LEVEL);
         bits.set_pvde(true);
     });
     settle(SIGNAL_SETTLE_US);
@@ -398,9 +319,9 @@ fn watch_supply() {
     pac::EXTI
         .imr(0)
         .modify(|bits| bits.set_line(PVD_LINE, true));
-    interrupt::PVD_AVD.set_priority(Priority::P0);
+    chip::SUPPLY_INTERRUPT.set_priority(Priority::P0);
     // SAFETY: its handler shares nothing with the rest of the program.
-    unsafe { interrupt::PVD_AVD.enable() };
+    unsafe { chip::SUPPLY_INTERRUPT.enable() };
 }
 
 /// Lets an input with a pull resistor of 40 kOhm and a metre of cable reach its level.
@@ -408,9 +329,9 @@ const SIGNAL_SETTLE_US: u32 = 50;
 /// Half a bit of the I2C bus's slow mode.
 const HALF_BIT_US: u32 = 5;
 
-/// Busy waiting at 400 MHz.
+/// Busy waiting.
 fn settle(time_us: u32) {
-    cortex_m::asm::delay(400 * time_us);
+    cortex_m::asm::delay(chip::CLOCK_MHZ * time_us);
 }
 
 /// Frees an I2C bus whose device was left in the middle of a byte by a reset: it holds SDA low until it has had its clocks, nine at

@@ -4,11 +4,9 @@
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{ExceptionFrame, exception};
-use embassy_stm32::interrupt;
 use flankscope_protocol::message::Boot;
 
-use crate::board::{Kept, ResetFlags};
+use crate::chip::{Kept, ResetFlags};
 
 /// In the first kept register: why the controller reset itself. The second holds the source line of a panic or the address of a
 /// fault, for a debugger.
@@ -46,13 +44,7 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
     fall_safe(info.location().map_or(1, |location| location.line()))
 }
 
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    fall_safe(frame.pc())
-}
-
 /// The supply has sunk to where the outputs' levels are not sure for long.
-#[interrupt]
-unsafe fn PVD_AVD() {
+pub fn supply_sinks() -> ! {
     reset(BROWN_OUT, 0)
 }
