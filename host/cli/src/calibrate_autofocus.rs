@@ -19,8 +19,9 @@ struct Step {
     contrast: f64,
 }
 
+/// The result in a document.
 #[derive(Serialize)]
-struct Found {
+pub struct Found {
     /// Counts of the driver, and the resulting power.
     counts: u16,
     setting_dpt: f64,
@@ -66,7 +67,8 @@ struct Document<'a> {
 }
 
 impl Found {
-    fn of(focused: &Focused) -> Self {
+    /// Of an autofocus.
+    pub fn of(focused: &Focused) -> Self {
         let lens = focused.lens;
         let sharpest = focused.sharpest;
         let steps = focused.steps.iter().map(|step| Step {
@@ -96,6 +98,19 @@ impl Found {
             steps: steps.collect(),
         }
     }
+
+    /// The result in words.
+    pub fn words(&self) -> String {
+        format!(
+            "the camera is sharp at {:.3} ± {:.3} dpt (fringes have most contrast, {:.3}, at {:.3} dpt); the nearest counts are {} ({:.3} dpt)",
+            self.sharpest_dpt,
+            self.sigma_dpt,
+            self.contrast,
+            self.vertex_dpt,
+            self.counts,
+            self.setting_dpt
+        )
+    }
 }
 
 /// Prints the result, and which head file was written for it, if any.
@@ -107,15 +122,7 @@ pub fn conclude(
     common: &Common,
 ) -> anyhow::Result<Outcome> {
     let found = Found::of(focused);
-    let words = format!(
-        "the camera is sharp at {:.3} ± {:.3} dpt (fringes have most contrast, {:.3}, at {:.3} dpt); the nearest counts are {} ({:.3} dpt)",
-        found.sharpest_dpt,
-        found.sigma_dpt,
-        found.contrast,
-        found.vertex_dpt,
-        found.counts,
-        found.setting_dpt
-    );
+    let words = found.words();
     common.write_json(&Document {
         made,
         autofocus: found,

@@ -1,8 +1,9 @@
-//! Autofocus on a target's blank plate: the lens is driven over its range, then in finer steps about the sharpest setting.
+//! Autofocus on a target's blank plate, or on a tooth of the die: the lens is driven over its range, then in finer steps about the sharpest setting.
 
 use std::path::Path;
 use std::sync::Arc;
 
+use flankscope_foundation::order::median_of;
 use flankscope_profilometry::calibrate::{Sharpest, Sharpness, Target, coarse, fine, sharpest};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::head::LensDrive;
@@ -11,12 +12,17 @@ use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, 
 use super::job::CalibrationError;
 use super::survey::Surveyor;
 use super::views;
+use crate::plan::ViewPlan;
+use crate::subject::Subject;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::acquisition::Progress;
 use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::StationSettings;
 
-/// Captures of the blank plate with a driven lens.
+/// A cell of a die counts as lit with at least this part of the median light: gaps between teeth have noise, and no contrast.
+const LIT_RATIO: f64 = 0.1;
+
+/// Captures of one surface with a driven lens.
 #[derive(Debug)]
 pub struct Autofocus {
     surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
@@ -57,7 +63,30 @@ impl Autofocus {
         })
     }
 
-    /// Captures the plate at one setting after the other.
+    /// Starts the threads for a tooth or patch of the die, with frames arriving below `root`: the given one, else the tool file's
+    /// first.
+    ///
+    /// # Errors
+    /// The head has no lens, no view follows from tool and head, or shared memory cannot be created.
+    pub fn at_die(
+        subject: &Subject,
+        tooth: Option<u32>,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let head = HeadModel::clone(&subject.head);
+        let lens = head.lens.ok_or(CalibrationError::NoLens)?;
+        let plan = ViewPlan::of_one(&subject.tool, &head, &subject.station, tooth)?;
+        let decoder = Arc::new(plan.decoder(&head, None)?);
+        let program = plan.program(&subject.station);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums).map(lit_cells);
+        Ok(Self {
+            surveyor: Surveyor::start(program, decoder, root, to_cells)?,
+            head,
+            lens,
+        })
+    }
+
+    /// Captures the surface at one setting after the other.
     ///
     /// # Errors
     /// A capture failed, or no setting is the sharpest.
@@ -99,5 +128,30 @@ impl Autofocus {
             sharpest,
             steps: looks.concat(),
         })
+    }
+}
+
+/// The cells of a die that are lit, so that gaps between teeth do not count.
+pub(crate) fn lit_cells(cells: Vec<CellColumn>) -> Vec<CellColumn> {
+    let median_e = median_of(cells.iter().map(|cell| cell.mean_e)).unwrap_or(0.0);
+    let is_lit = |cell: &CellColumn| cell.mean_e >= LIT_RATIO * median_e;
+    cells.into_iter().filter(is_lit).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_between_teeth_are_not_lit() {
+        let cell = |mean_e: f64| CellColumn {
+            pixel: [0.0; 2],
+            mean_e,
+            contrast: 0.5,
+            column_px: None,
+        };
+        let cells = [1000.0, 900.0, 1100.0, 50.0, f64::NAN, 150.0].map(cell);
+        let lit: Vec<f64> = lit_cells(cells.to_vec()).iter().map(|c| c.mean_e).collect();
+        assert_eq!(lit, [1000.0, 900.0, 1100.0, 150.0]);
     }
 }

@@ -122,7 +122,7 @@ struct Vertex {
 pub enum NotSharp {
     /// Too little of the field shows fringes.
     #[error(
-        "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the plate there, and lit?"
+        "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the surface there, and lit?"
     )]
     Dark {
         /// Lens driver counts.
@@ -142,7 +142,7 @@ pub enum NotSharp {
     },
     /// It goes on getting sharper.
     #[error(
-        "the fringes are sharpest at {counts} counts, the end of the lens' range ({} to {}): bring the plate nearer to where the middle of the range is sharp",
+        "the fringes are sharpest at {counts} counts, the end of the lens' range ({} to {}): bring the surface nearer to where the middle of the range is sharp",
         range[0], range[1]
     )]
     AtTheEnd {
