@@ -94,12 +94,11 @@ fn levels_follow_the_exposure_and_the_proposed_ones_are_written() {
         number(&capture["exposures"][at][key]) - number(&capture["dark_dn"])
     };
     for at in 0..exposures_us.len() {
-        // None of the demo's pixels saturates.
-        assert!(
-            number(&levels[at]["saturated_pixel_ratio"]) < 1e-4,
-            "{capture}"
-        );
-        for key in ["median_dn", "bright_dn"] {
+        // The brightest pixels of the demo's longer exposure are saturated.
+        let saturated = number(&levels[at]["saturated_pixel_ratio"]) > 1e-3;
+        assert_eq!(saturated, at > 0, "{capture}");
+        let keys = &["median_dn", "bright_dn"][..if saturated { 1 } else { 2 }];
+        for key in keys {
             let ratio = lit(dim, at, key) / lit(capture, at, key);
             assert!((ratio - 0.5).abs() < 0.03, "{key}: {capture} {dim}");
         }

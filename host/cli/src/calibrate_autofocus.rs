@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::Path;
 
 use flankscope_jobs::calibration::Focused;
-use flankscope_profilometry::head::CalibrationRecord;
+use flankscope_profilometry::calibrate::Sharpness;
+use flankscope_profilometry::head::{CalibrationRecord, LensDrive};
 use serde::Serialize;
 
 use crate::output::{Common, Outcome};
@@ -13,15 +14,14 @@ use crate::site::Made;
 
 /// A setting that was tried.
 #[derive(Serialize)]
-struct Step {
+pub struct Step {
     counts: u16,
     setting_dpt: f64,
     contrast: f64,
 }
 
-/// The result in a document.
 #[derive(Serialize)]
-pub struct Found {
+struct Found {
     /// Counts of the driver, and the resulting power.
     counts: u16,
     setting_dpt: f64,
@@ -66,16 +66,22 @@ struct Document<'a> {
     truth: Option<serde_json::Value>,
 }
 
-impl Found {
-    /// Of an autofocus.
-    pub fn of(focused: &Focused) -> Self {
-        let lens = focused.lens;
-        let sharpest = focused.sharpest;
-        let steps = focused.steps.iter().map(|step| Step {
+impl Step {
+    /// Settings that were tried with a lens.
+    pub fn list(tried: &[Sharpness], lens: &LensDrive) -> Vec<Self> {
+        let step = |step: &Sharpness| Self {
             counts: step.counts,
             setting_dpt: lens.power_dpt(step.counts),
             contrast: step.contrast,
-        });
+        };
+        tried.iter().map(step).collect()
+    }
+}
+
+impl Found {
+    fn of(focused: &Focused) -> Self {
+        let lens = focused.lens;
+        let sharpest = focused.sharpest;
         Self {
             counts: lens.counts,
             setting_dpt: lens.setting_dpt(),
@@ -95,21 +101,8 @@ impl Found {
             },
             distance_mm: sharpest.place.distance_mm,
             projector_farther_mm: sharpest.place.farther_mm,
-            steps: steps.collect(),
+            steps: Step::list(&focused.steps, &lens),
         }
-    }
-
-    /// The result in words.
-    pub fn words(&self) -> String {
-        format!(
-            "the camera is sharp at {:.3} ± {:.3} dpt (fringes have most contrast, {:.3}, at {:.3} dpt); the nearest counts are {} ({:.3} dpt)",
-            self.sharpest_dpt,
-            self.sigma_dpt,
-            self.contrast,
-            self.vertex_dpt,
-            self.counts,
-            self.setting_dpt
-        )
     }
 }
 
@@ -122,7 +115,15 @@ pub fn conclude(
     common: &Common,
 ) -> anyhow::Result<Outcome> {
     let found = Found::of(focused);
-    let words = found.words();
+    let words = format!(
+        "the camera is sharp at {:.3} ± {:.3} dpt (fringes have most contrast, {:.3}, at {:.3} dpt); the nearest counts are {} ({:.3} dpt)",
+        found.sharpest_dpt,
+        found.sigma_dpt,
+        found.contrast,
+        found.vertex_dpt,
+        found.counts,
+        found.setting_dpt
+    );
     common.write_json(&Document {
         made,
         autofocus: found,

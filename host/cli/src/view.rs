@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use flankscope_instrument::acquisition::Progress;
-use flankscope_jobs::calibration::Autofocus;
+use flankscope_jobs::calibration::{Autofocus, DieFocus};
 use flankscope_jobs::setup_view::{LiveView, write_exposures};
 use flankscope_profilometry::Picture;
 use flankscope_record::document::{SetupCapture, SetupView};
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchSetup, DieArgs};
 use crate::calibrate::has_one_projector;
-use crate::calibrate_autofocus::Found;
+use crate::calibrate_autofocus::Step;
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, seals};
@@ -57,7 +57,7 @@ pub struct Args {
     /// Write the proposed exposures into the head file at the end; comments and every other key stay as they are
     #[arg(long, requires = "captures")]
     write_exposures: bool,
-    /// Drive the head's liquid lens over its range at the tooth and report the setting at which the camera is sharp; nothing is
+    /// Drive the head's liquid lens over its range at the tooth and report the setting at which fringes have most contrast; nothing is
     /// changed
     #[arg(long, conflicts_with_all = ["captures", "page", "write_exposures"])]
     focus: bool,
@@ -79,7 +79,21 @@ struct Document<'a> {
 struct FocusDocument<'a> {
     #[serde(flatten)]
     made: Made<'a>,
-    autofocus: Found,
+    tooth: Option<u32>,
+    focus: FoundFocus,
+}
+
+/// Lens setting at which the fringes on the tooth have most contrast.
+#[derive(Serialize)]
+struct FoundFocus {
+    /// Counts of the driver, and the resulting power.
+    counts: u16,
+    setting_dpt: f64,
+    /// Setting with the largest contrast, its standard uncertainty by the scatter, and that contrast.
+    sharpest_dpt: f64,
+    sigma_dpt: f64,
+    contrast: f64,
+    steps: Vec<Step>,
 }
 
 /// Runs the subcommand.
@@ -176,26 +190,38 @@ impl Args {
             })?;
         let mut watcher = Watcher::new(quiet, Vec::new());
         let (port, settings) = (search.port.clone(), search.settings.clone());
-        let focused = search
-            .job
-            .search(&port, settings, |progress| watcher.show(progress))?;
+        let DieFocus { lens, most, steps } =
+            search
+                .job
+                .search_die(&port, settings, |progress| watcher.show(progress))?;
         search.close(quiet)?;
-        let found = Found::of(&focused);
         if self.common.shows_table() {
-            let terminal = Terminal::of_stdout();
-            let mut out = std::io::stdout().lock();
-            writeln!(out, "{}", terminal.sentence(&found.words()))?;
+            let words = format!(
+                "the fringes have most contrast, {:.3}, at {:.3} ± {:.3} dpt; the nearest counts are {} ({:.3} dpt). A head file is for \
+                 one setting of its lens: for this one, calibrate the head there, or compute it (calibrate --focus-series)",
+                most.contrast,
+                most.setting_dpt,
+                most.sigma_dpt,
+                lens.counts,
+                lens.setting_dpt()
+            );
             writeln!(
-                out,
+                std::io::stdout(),
                 "{}",
-                terminal.sentence(
-                    "a head file is for one setting of its lens: for this one, calibrate the head there, or compute it (calibrate --focus-series)"
-                )
+                Terminal::of_stdout().sentence(&words)
             )?;
         }
         self.common.write_json(&FocusDocument {
             made: Made::by(&site.setting, false),
-            autofocus: found,
+            tooth: self.tooth,
+            focus: FoundFocus {
+                counts: lens.counts,
+                setting_dpt: lens.setting_dpt(),
+                sharpest_dpt: most.setting_dpt,
+                sigma_dpt: most.sigma_dpt,
+                contrast: most.contrast,
+                steps: Step::list(&steps, &lens),
+            },
         })?;
         Ok(Outcome::Done)
     }

@@ -4,7 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_foundation::order::median_of;
-use flankscope_profilometry::calibrate::{Sharpest, Sharpness, Target, coarse, fine, sharpest};
+use flankscope_profilometry::calibrate::{
+    MostContrast, Sharpest, Sharpness, Target, coarse, fine, most_contrast, sharpest,
+};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
@@ -37,6 +39,17 @@ pub struct Focused {
     pub lens: LensDrive,
     /// The sharpest power.
     pub sharpest: Sharpest,
+    /// Every setting that was tried, in order.
+    pub steps: Vec<Sharpness>,
+}
+
+/// Result of an autofocus at the die.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DieFocus {
+    /// The lens, driven to the nearest setting at which the fringes have most contrast.
+    pub lens: LensDrive,
+    /// That setting.
+    pub most: MostContrast,
     /// Every setting that was tried, in order.
     pub steps: Vec<Sharpness>,
 }
@@ -86,7 +99,7 @@ impl Autofocus {
         })
     }
 
-    /// Captures the surface at one setting after the other.
+    /// Captures the plate at one setting after the other.
     ///
     /// # Errors
     /// A capture failed, or no setting is the sharpest.
@@ -96,6 +109,44 @@ impl Autofocus {
         settings: ClientSettings,
         watch: impl FnMut(Progress),
     ) -> Result<Focused, CalibrationError> {
+        let looks = self.look(port, settings, watch)?;
+        let fine = looks.last().map_or(&[][..], Vec::as_slice);
+        let sharpest = sharpest(fine, &self.lens, &self.head)?;
+        Ok(Focused {
+            lens: self.driven_to(sharpest.setting_dpt)?,
+            sharpest,
+            steps: looks.concat(),
+        })
+    }
+
+    /// Captures a tooth of the die at one setting after the other. Its shape is none of a plate, so what a plate tells of field
+    /// curvature and projector is not corrected.
+    ///
+    /// # Errors
+    /// A capture failed, or the contrast of the fringes has no maximum.
+    pub fn search_die(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<DieFocus, CalibrationError> {
+        let looks = self.look(port, settings, watch)?;
+        let fine = looks.last().map_or(&[][..], Vec::as_slice);
+        let most = most_contrast(fine, &self.lens)?;
+        Ok(DieFocus {
+            lens: self.driven_to(most.setting_dpt)?,
+            most,
+            steps: looks.concat(),
+        })
+    }
+
+    /// Coarse settings over the range of the lens, then fine ones about the sharpest.
+    fn look(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Vec<Vec<Sharpness>>, CalibrationError> {
         let Self {
             surveyor,
             head,
@@ -117,17 +168,15 @@ impl Autofocus {
             let through = |&counts: &u16| LensDrive { counts, ..*lens };
             Ok::<_, CalibrationError>(at.iter().map(through).collect())
         })?;
-        let fine = looks.last().map_or(&[][..], Vec::as_slice);
-        let sharpest = sharpest(fine, lens, head)?;
-        // A correction may end slightly beyond the range of the lens.
-        let ends = lens.range.map(|counts| lens.power_dpt(counts));
+        Ok(looks)
+    }
+
+    /// The lens at the nearest counts; a setting may end slightly beyond its range.
+    fn driven_to(&self, setting_dpt: f64) -> Result<LensDrive, CalibrationError> {
+        let ends = self.lens.range.map(|counts| self.lens.power_dpt(counts));
         let [least, most] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
-        let lens = lens.driven_to(sharpest.setting_dpt.clamp(least, most));
-        Ok(Focused {
-            lens: lens.map_err(CalibrationError::Focus)?,
-            sharpest,
-            steps: looks.concat(),
-        })
+        let lens = self.lens.driven_to(setting_dpt.clamp(least, most));
+        lens.map_err(CalibrationError::Focus)
     }
 }
 

@@ -24,7 +24,7 @@ mod survey;
 mod views;
 
 pub(crate) use autofocus::lit_cells;
-pub use autofocus::{Autofocus, Focused};
+pub use autofocus::{Autofocus, DieFocus, Focused};
 pub use board::{BoardFolder, BoardFolderError};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;

@@ -1,7 +1,7 @@
 //! Exposures that suit the light of a capture.
 //!
 //! The response of the sensor is linear, so a level above dark is proportional to the exposure. The short exposure brings the
-//! brightest pixels (all but one in a thousand) to [`FULL`] of the range up to saturation; the long one gives the weakest twentieth
+//! brightest pixels (all but one in ten thousand) to [`FULL`] of the range up to saturation; the long one gives the weakest twentieth
 //! of the cells with fringes the modulation that is enough. Cells that saturate in the long exposure are measured by the short one.
 
 use flankscope_protocol::Limits;
@@ -23,7 +23,7 @@ pub struct MeasuredLight {
     pub dark_dn: f64,
     /// Count above which a pixel is saturated, DN.
     pub saturation_limit_dn: f64,
-    /// Every exposure, µs, ascending, and the level there that one pixel in a thousand exceeds, DN.
+    /// Every exposure, µs, ascending, and the level there that one pixel in ten thousand exceeds, DN.
     pub bright_dn: Vec<(u32, f64)>,
     /// Amplitude of the finest fringes that the weakest twentieth of the cells does not exceed, DN per pixel and µs.
     pub weak_dn_per_us: Option<f64>,

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_foundation::date;
+use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{DecodeError, Decoder, Picture};
 use flankscope_protocol::Limits;
 
@@ -22,11 +23,11 @@ use flankscope_record::document::{
 };
 use flankscope_record::origin::Setting;
 
-/// The modulation that is enough is this many times the least one at which the decoder takes the order of the finest fringes as
-/// certain: oil, wear and a weaker LED take their part of it.
-const RESERVE: f64 = 4.0;
-/// Level that counts as the brightest: one pixel in a thousand exceeds it. Single hot pixels do not set an exposure.
-const BRIGHT: f64 = 0.999;
+/// A modulation is enough if the sensor's own noise (read noise and rounding of a pixel) leaves the phase of the finest fringes this
+/// standard deviation, rad: a six-hundredth of a period, well below what the light's own noise leaves.
+const OWN_PHASE_NOISE_RAD: f64 = 0.01;
+/// Level that counts as the brightest: one pixel in ten thousand exceeds it. Single hot pixels do not set an exposure.
+const BRIGHT: f64 = 0.9999;
 
 /// Why a live view could not run.
 #[derive(Debug, thiserror::Error)]
@@ -65,7 +66,6 @@ impl LiveView {
         let plan = ViewPlan::of_one(&subject.tool, &subject.head, &subject.station, tooth)?;
         let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let finest_set = plan.patterns.sets.len() - 1;
-        let floor_dn = decoder.floors_dn().get(finest_set).copied().unwrap_or(0.0);
         let sensor = decoder.sensor();
         let view = SetupView {
             origin: subject.origin(&setting),
@@ -77,7 +77,7 @@ impl LiveView {
             expected: ExpectedByHead {
                 dark_dn: sensor.offset_dn,
                 contrast: subject.head.fringe_contrast,
-                modulation_dn: RESERVE * floor_dn,
+                modulation_dn: enough_dn(&sensor, plan.patterns.finest().steps),
             },
             captures: Vec::new(),
             lost: Vec::new(),
@@ -226,5 +226,31 @@ impl LiveView {
             points: cells.points,
             rejected: cells.rejected,
         }
+    }
+}
+
+/// Amplitude of `steps` frames per pixel, DN, at which the sensor's own noise leaves the phase [`OWN_PHASE_NOISE_RAD`]:
+/// `sigma_phase = sqrt(2 / N) sigma / B`.
+fn enough_dn(sensor: &Sensor, steps: u32) -> f64 {
+    let own_dn = sensor.dark_variance_e2().sqrt() / sensor.gain_e_per_dn;
+    (2.0 / f64::from(steps)).sqrt() * own_dn / OWN_PHASE_NOISE_RAD
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn enough_modulation_follows_from_the_sensors_own_noise() {
+        // Read noise of 4 DN and rounding of 1 / sqrt(12) DN, eight steps: half of 4.0104 DN over 0.01 rad.
+        let sensor = Sensor {
+            full_well_e: 30_000.0,
+            gain_e_per_dn: 2.0,
+            read_noise_e: 8.0,
+            offset_dn: 100.0,
+            bits: 12,
+        };
+        let own_dn = (16.0 + 1.0 / 12.0_f64).sqrt();
+        assert!((enough_dn(&sensor, 8) - 50.0 * own_dn).abs() < 1e-9);
     }
 }

@@ -40,7 +40,7 @@ pub struct ExpectedByHead {
     pub dark_dn: f64,
     /// Contrast of the finest fringes on a matt, convex surface in focus (`fringe_contrast`).
     pub contrast: Option<f64>,
-    /// Amplitude of the finest fringes that is enough, DN per pixel and exposure.
+    /// Amplitude of the finest fringes that is enough by the sensor's noise in the file, DN per pixel.
     pub modulation_dn: f64,
 }
 
@@ -75,7 +75,7 @@ pub struct ExposureLevels {
     pub exposure_us: u32,
     /// Median level, DN.
     pub median_dn: f64,
-    /// Level that one pixel in a thousand exceeds, DN.
+    /// Level that one pixel in ten thousand exceeds, DN.
     pub bright_dn: f64,
     /// Highest level, DN.
     pub max_dn: f64,
