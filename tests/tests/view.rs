@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use flankscope_profilometry::HeadModel;
-use flankscope_tests::{Run, flankscope, run};
+use flankscope_tests::{Run, bench, flankscope, press_tool, run};
 use serde_json::Value;
 
 fn demo_tool(folder: &Path, head: &str) -> String {
@@ -161,9 +161,59 @@ fn what_cannot_be_is_refused_before_anything_moves() {
             "its name ends in .html",
         ),
         (vec!["--tool", "die"], "--tool without --link"),
+        (vec!["--focus"], "has no [lens]"),
     ] {
         let refused = view(&arguments);
         assert_eq!(refused.code, 3, "{arguments:?}: {}", refused.stderr);
         assert!(refused.stderr.contains(words), "{}", refused.stderr);
     }
+}
+
+/// A person answers for a trusted head file as it is.
+#[test]
+fn a_trusted_head_file_is_not_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = press_tool(&folder.path().join("die"));
+    let head = folder.path().join("die/head.toml");
+    let before = std::fs::read_to_string(&head).unwrap();
+    let at = ["--tool", &tool, "--link", "sim", "--captures", "1"];
+    let refused = view(&[&at[..], &["--write-exposures"]].concat());
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    let words = "tester declared this file trusted as it is";
+    assert!(refused.stderr.contains(words), "{}", refused.stderr);
+    // The captures are in the document nevertheless.
+    assert_eq!(refused.json["captures"].as_array().unwrap().len(), 1);
+    assert_eq!(refused.json["written"], Value::Null);
+    assert_eq!(std::fs::read_to_string(&head).unwrap(), before);
+}
+
+#[test]
+fn a_view_without_a_usable_capture_says_why() {
+    let [option, file] = bench("[camera]\nframe_fault = \"lose:7\"\n");
+    let lost = view(&[&option, &file, "--captures", "1"]);
+    assert_eq!(lost.code, 2, "{}", lost.stderr);
+    assert_eq!(lost.json["captures"].as_array().unwrap().len(), 0);
+    assert_eq!(lost.json["lost"][0]["number"], 1);
+    let reason = lost.json["lost"][0]["reason"].as_str().unwrap();
+    assert!(reason.contains("frame"), "{reason}");
+    assert_eq!(lost.json["proposal"], Value::Null);
+}
+
+/// The lens that the demo's die is seen through is sharp at one dioptre; the tooth's middle lies about where it is.
+#[test]
+fn a_lens_is_focused_on_a_tooth() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let tool = demo_tool(&folder.path().join("die"), "liquid@1");
+    let found = view(&["--tool", &tool, "--link", "sim", "--focus"]);
+    assert_eq!(found.code, 0, "{}", found.stderr);
+    let focus = &found.json["focus"];
+    assert_eq!(focus["steps"].as_array().unwrap().len(), 18, "{focus}");
+    assert!(
+        (number(&focus["sharpest_dpt"]) - 1.0).abs() < 0.15,
+        "{focus}"
+    );
+    assert!(number(&focus["sigma_dpt"]) < 0.1, "{focus}");
 }
