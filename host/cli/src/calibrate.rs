@@ -252,7 +252,7 @@ fn believed(path: &Path) -> anyhow::Result<HeadModel> {
 }
 
 /// Refuses a head with two projectors for options that know the frames of one only.
-fn has_one_projector(head: &HeadModel, option: &str) -> anyhow::Result<()> {
+pub fn has_one_projector(head: &HeadModel, option: &str) -> anyhow::Result<()> {
     ensure!(
         head.second_projector.is_none(),
         "{option}: the head to start from has a [second_projector], whose frames are not told apart here: take it out for a head with one projector, or calibrate through --link"

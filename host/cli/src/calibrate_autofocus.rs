@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::Path;
 
 use flankscope_jobs::calibration::Focused;
-use flankscope_profilometry::head::CalibrationRecord;
+use flankscope_profilometry::calibrate::Sharpness;
+use flankscope_profilometry::head::{CalibrationRecord, LensDrive};
 use serde::Serialize;
 
 use crate::output::{Common, Outcome};
@@ -13,7 +14,7 @@ use crate::site::Made;
 
 /// A setting that was tried.
 #[derive(Serialize)]
-struct Step {
+pub struct Step {
     counts: u16,
     setting_dpt: f64,
     contrast: f64,
@@ -65,15 +66,22 @@ struct Document<'a> {
     truth: Option<serde_json::Value>,
 }
 
+impl Step {
+    /// Settings that were tried with a lens.
+    pub fn list(tried: &[Sharpness], lens: &LensDrive) -> Vec<Self> {
+        let step = |step: &Sharpness| Self {
+            counts: step.counts,
+            setting_dpt: lens.power_dpt(step.counts),
+            contrast: step.contrast,
+        };
+        tried.iter().map(step).collect()
+    }
+}
+
 impl Found {
     fn of(focused: &Focused) -> Self {
         let lens = focused.lens;
         let sharpest = focused.sharpest;
-        let steps = focused.steps.iter().map(|step| Step {
-            counts: step.counts,
-            setting_dpt: lens.power_dpt(step.counts),
-            contrast: step.contrast,
-        });
         Self {
             counts: lens.counts,
             setting_dpt: lens.setting_dpt(),
@@ -93,7 +101,7 @@ impl Found {
             },
             distance_mm: sharpest.place.distance_mm,
             projector_farther_mm: sharpest.place.farther_mm,
-            steps: steps.collect(),
+            steps: Step::list(&focused.steps, &lens),
         }
     }
 }

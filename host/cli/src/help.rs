@@ -45,6 +45,25 @@ text!(
         checks a die in a press and stores the result."
 );
 text!(
+    VIEW: "Live view of one tooth for setting up the head at the die: levels, saturation, contrast, focus, exposures.\n\n\
+        The head moves to the tooth as in a check, captures the view and leaves the die again, until Ctrl-C or --captures. Every \
+        capture is a line and, with --page, a page that a browser loads again by itself. Nothing is judged or stored.\n\n\
+        Without options the built-in demo die is viewed on the simulated bench.",
+    "Live view of one tooth for setting up the head at the die: levels, saturation, contrast, focus, exposures.\n\n\
+        The head moves to the tooth as in a check, captures the view and leaves the die again, until Ctrl-C or --captures. Every \
+        capture is a line and, with --page, a page that a browser loads again by itself. Nothing is judged or stored."
+);
+text!(
+    VIEW_EXAMPLE: "Example:\n  flankscope view --page view.html\n\
+        views the first tooth of the demo die until Ctrl-C and writes view.html after every capture\n\n  \
+        flankscope view --tool DIR --link /dev/ttyACM0 --tooth 40 --captures 3 --write-exposures\n\
+        captures tooth 40 three times and writes exposures that suit it into the head file",
+    "Example:\n  flankscope view --tool DIR --link /dev/ttyACM0 --page view.html\n\
+        views the tool's first tooth until Ctrl-C and writes view.html after every capture\n\n  \
+        flankscope view --tool DIR --link /dev/ttyACM0 --tooth 40 --captures 3 --write-exposures\n\
+        captures tooth 40 three times and writes exposures that suit it into the head file"
+);
+text!(
     SCAN: "Scan the whole die: many views, registered to the CAD together and merged into one map.\n\n\
         Without options the built-in demo die is scanned on the simulated bench, where it stands eccentric and tilted and the \
         hand-eye transform is only roughly known. With --session an interrupted scan is continued.",

@@ -157,7 +157,7 @@ pub struct Instrument<J = Job<ViewOutcome>> {
     bench: Option<Bench>,
     _camera: Option<CameraProcess>,
     _root: Arc<SharedRoot>,
-    _scratch: RunFolder,
+    scratch: RunFolder,
 }
 
 impl Instrument {
@@ -304,7 +304,7 @@ impl<J> Instrument<J> {
                 bench: Some(bench),
                 _camera: None,
                 _root: root,
-                _scratch: scratch,
+                scratch,
             });
         };
         let command = &site.settings.camera.command;
@@ -320,8 +320,14 @@ impl<J> Instrument<J> {
             bench: None,
             _camera: camera,
             _root: root,
-            _scratch: scratch,
+            scratch,
         })
+    }
+
+    /// Path of the head file; `None` for the built-in one.
+    pub fn own_head_file(&self) -> Option<&Path> {
+        let file = self.head.as_ref()?.head.as_path();
+        (!file.starts_with(self.scratch.path())).then_some(file)
     }
 
     /// Copies the head file and its further files into the folder of a recording; returns its name there.

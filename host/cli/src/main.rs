@@ -40,6 +40,7 @@ mod scene;
 mod site;
 mod terminal;
 mod trust;
+mod view;
 mod watch;
 mod wear;
 
@@ -68,6 +69,7 @@ enum Command {
     Init(init::Args),
     Inspect(inspect::Args),
     Watch(watch::Args),
+    View(view::Args),
     Scan(Box<scan::Args>),
     Article(Box<article::Args>),
     Calibrate(calibrate::Args),
@@ -147,6 +149,7 @@ fn main() -> ExitCode {
         Command::Init(args) => init::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Watch(args) => watch::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Scan(args) => scan::run(&args),
         Command::Article(args) => article::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),

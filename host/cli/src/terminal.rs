@@ -87,6 +87,18 @@ impl Terminal {
         }
     }
 
+    /// Shares from 0 to 1 as one line of bars, by blocks where they can be displayed.
+    pub fn bars(self, shares: impl Iterator<Item = f64>) -> String {
+        let steps = match self.unicode {
+            true => [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'],
+            false => [' ', '.', ':', '-', '=', '+', '*', '#', '@'],
+        };
+        let last = steps.len() - 1;
+        // What is not empty is at least the lowest bar. Casts of NaN and of negative numbers give 0.
+        let step = |share: f64| ((share * last as f64).ceil() as usize).min(last);
+        shares.map(|share| steps[step(share)]).collect()
+    }
+
     /// A text in the colour of a verdict. The words differ as well, so colour is not needed.
     pub fn in_colour(self, verdict: Word, text: &str) -> String {
         if !self.colours {
@@ -136,6 +148,15 @@ mod tests {
         }
         let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);
         assert_eq!(c.text("±4.5 µm, –"), "+-4.5 um, -");
+    }
+
+    #[test]
+    fn shares_are_bars_of_their_height() {
+        let shares = [0.0, 0.01, 0.5, 1.0, 2.0, -1.0, f64::NAN];
+        let utf8 = terminal(false, &[("LANG", "de_DE.UTF-8")]);
+        assert_eq!(utf8.bars(shares.into_iter()), " ▁▄██  ");
+        let c = terminal(false, &[("LANG", "C")]);
+        assert_eq!(c.bars(shares.into_iter()), " .=@@  ");
     }
 
     #[test]

@@ -15,6 +15,7 @@
 //! | [`watch`] | a check every N cycles of the press |
 //! | [`scan`] | the whole die, view by view |
 //! | [`calibration`] | from captures of plates to a head file, and its self-test |
+//! | [`setup_view`] | live view of one tooth for setting up the head; exposures that suit it |
 //! | [`replay`] | a stored verdict, computed again from its phasors |
 //! | [`readiness`] | findings on the station's key, tool, head and history |
 
@@ -26,5 +27,6 @@ pub mod plan;
 pub mod readiness;
 pub mod replay;
 pub mod scan;
+pub mod setup_view;
 pub mod subject;
 pub mod watch;

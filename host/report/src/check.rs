@@ -141,7 +141,7 @@ fn counts(flank: &FlankInView) -> bool {
 }
 
 /// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise compresses well.
-fn thumbnail(frame: &Picture) -> String {
+pub(super) fn thumbnail(frame: &Picture) -> String {
     let block = frame.width.div_ceil(FRAME_WIDTH).max(1);
     let (width, height) = (frame.width / block, frame.height / block);
     let grey: Vec<u8> = (0..width * height)

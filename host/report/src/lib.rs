@@ -12,6 +12,7 @@ mod ring;
 mod scan;
 mod scan_files;
 mod scenes;
+mod setup;
 mod space;
 mod svg;
 mod tables;
@@ -24,6 +25,7 @@ pub use history::{history_html, rate, remaining};
 pub use ring::numbered_ring;
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
+pub use setup::setup_html;
 pub use words::Words;
 
 use flankscope_record::document::{Feature, FlankDetail};

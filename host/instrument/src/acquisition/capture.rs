@@ -246,6 +246,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 handover_ns,
                 problem,
                 saved,
+                levels,
             } = captured;
             let Some(view_number) = run.session.views.get(usize::from(view)).copied() else {
                 // One frame more than was triggered. Which of the frames is the extra one is unknown, so no view of the session is used.
@@ -286,6 +287,8 @@ impl<O: Send + 'static> Acquisition<O> {
                     run.counts.last_exposure_ns = run.counts.last_exposure_ns.max(ended);
                     let saved = saved.map(|saved| saved.of_view(view_number, triggers));
                     self.saved.extend(saved);
+                    run.levels
+                        .extend(levels.map(|levels| (view_number, levels)));
                     run.session.evaluating += 1;
                     work.send((view_number, sums))
                         .map_err(|_| AcquisitionError::Thread { thread: "compute" })?;

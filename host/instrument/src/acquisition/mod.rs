@@ -16,6 +16,7 @@
 //! | `route` | in which order the positions are visited |
 //! | `sums` | running sums of a view's frames, pass by pass |
 //! | `session` | the threads that frames and sums pass through |
+//! | `levels` | histograms of the pixel levels of a view, where a job asks for them |
 //! | `capture` | one capture, from its plan to its last view |
 //! | `recapture` | which views are captured a second time |
 //! | `run` | results that all captures of a run have gathered |
@@ -27,6 +28,7 @@
 
 mod capture;
 mod error;
+mod levels;
 mod pairing;
 mod program;
 mod recapture;
@@ -40,6 +42,7 @@ mod timeline;
 
 pub use capture::RETRACT_RESERVE;
 pub use error::{AcquisitionError, Progress, Stop, ViewError};
+pub use levels::{LevelHistogram, ViewLevels};
 pub use pairing::{PairingError, pair};
 pub use program::{Program, ProgramError, StagePosition};
 pub use recapture::AfterStop;

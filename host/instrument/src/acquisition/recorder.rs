@@ -6,10 +6,11 @@ use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
 use std::time::{Duration, Instant};
 
-use flankscope_profilometry::head::Sensor;
+use flankscope_profilometry::head::{ImageCircle, Sensor};
 use flankscope_profilometry::{FrameView, Picture};
 
 use super::error::{CameraError, ViewError};
+use super::levels::ViewLevels;
 use super::recording::{SavedCapture, Saver};
 use super::sums::{PlannedFrame, ViewSums};
 use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource, Ready, ReceiveError};
@@ -45,6 +46,8 @@ pub enum Order {
     Recycle(ViewSums),
     /// From here on, frames are also written to files.
     Save(Saver),
+    /// From here on, pixel levels are counted in this circle, or over the whole frame without one.
+    CountLevels(Option<ImageCircle>),
 }
 
 /// All frames of one view, summed.
@@ -62,6 +65,8 @@ pub struct CapturedView {
     pub problem: Option<ViewError>,
     /// Files of its frames, if they are saved.
     pub saved: Option<SavedCapture>,
+    /// Pixel levels of its frames, if they are counted.
+    pub levels: Option<ViewLevels>,
 }
 
 /// What the recorder tells the job.
@@ -169,6 +174,8 @@ pub struct Recorder<'a, S: FrameSource> {
     open: Option<CapturedView>,
     kept: Option<S::Frame>,
     saver: Option<Saver>,
+    /// Where pixel levels are counted, if they are.
+    counted: Option<Option<ImageCircle>>,
     /// Sessions before this one, the latest last, because their frames may still arrive late.
     earlier: VecDeque<u32>,
 }
@@ -197,6 +204,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             open: None,
             kept: None,
             saver: None,
+            counted: None,
             earlier: VecDeque::new(),
         }
     }
@@ -217,6 +225,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                     self.spare.push(sums);
                 }
                 Ok(Order::Save(saver)) => self.saver = Some(saver),
+                Ok(Order::CountLevels(circle)) => self.counted = Some(circle),
                 Err(TryRecvError::Empty) => {}
                 Err(TryRecvError::Disconnected) => return,
             }
@@ -301,6 +310,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 handover_ns: Vec::with_capacity(self.planned.len()),
                 problem: None,
                 saved: self.saver.as_mut().map(Saver::begin),
+                levels: self.counted.map(|_| ViewLevels::default()),
             });
         }
         let settings = self.settings;
@@ -324,6 +334,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                     planned: self.planned.len(),
                 }),
                 Some(&planned) => {
+                    if let (Some(circle), Some(levels)) = (&self.counted, &mut open.levels) {
+                        levels.count(view_of(&frame), planned.kind, circle.as_ref());
+                    }
                     let added = open.sums.add(view_of(&frame), planned);
                     added.err().map(ViewError::from)
                 }

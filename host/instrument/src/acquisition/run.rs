@@ -6,6 +6,7 @@ use std::time::Duration;
 use flankscope_protocol::Trigger;
 
 use super::error::ViewError;
+use super::levels::ViewLevels;
 use super::recorder::CapturedView;
 use super::timeline::Timeline;
 use flankscope_frames::monotonic_ns;
@@ -28,6 +29,8 @@ pub struct Run<O> {
     pub timeline: Timeline,
     /// One raw frame for the report.
     pub picture: Option<Picture>,
+    /// Pixel levels of each view whose frames and triggers pair, by view index, if they are counted.
+    pub levels: BTreeMap<usize, ViewLevels>,
     /// Longest time that the head may be in the die.
     pub hold_limit: Option<Duration>,
 }
@@ -102,6 +105,7 @@ impl<O> Run<O> {
             counts: Counts::default(),
             timeline: Timeline::default(),
             picture: None,
+            levels: BTreeMap::new(),
             hold_limit,
         }
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
 use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot};
-use flankscope_profilometry::head::LensDrive;
+use flankscope_profilometry::head::{ImageCircle, LensDrive};
 use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::sync::mpsc as channel;
 
@@ -152,6 +152,14 @@ impl<O: Send + 'static> Acquisition<O> {
     /// Also writes all following frames into `folder`.
     pub fn save_frames(&self, folder: &Path) -> Result<(), AcquisitionError> {
         self.order(Order::Save(Saver::new(folder, self.full_scale_dn)))
+    }
+
+    /// Also counts the pixel levels of all following frames, in this circle or over the whole frame.
+    ///
+    /// # Errors
+    /// A thread ended early.
+    pub fn count_levels(&self, circle: Option<ImageCircle>) -> Result<(), AcquisitionError> {
+        self.order(Order::CountLevels(circle))
     }
 
     /// The captures that were saved since the last call, in their order.

@@ -22,6 +22,7 @@ use serde::Serialize;
 
 use super::survey::{SurveyError, Surveyor};
 use super::views::{self, PlateView};
+use crate::plan::PlanningError;
 use flankscope_foundation::files;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::acquisition::Progress;
@@ -48,6 +49,9 @@ pub enum CalibrationError {
     /// The captures do not give a self-test.
     #[error(transparent)]
     SelfTest(#[from] SelfTestError),
+    /// No view of the die follows from tool and head.
+    #[error(transparent)]
+    Planning(#[from] PlanningError),
     /// The captures do not give a focus.
     #[error(transparent)]
     NotSharp(#[from] NotSharp),

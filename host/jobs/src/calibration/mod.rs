@@ -12,7 +12,7 @@
 //! | `job` | from captures to the head |
 //! | `folder` | calibration from images of a target captured elsewhere |
 //! | `board` | calibration from images of an ordinary board captured elsewhere |
-//! | `autofocus` | captures of the blank plate at several settings of a driven lens |
+//! | `autofocus` | captures of the blank plate, or of a tooth, at several settings of a driven lens |
 //! | `fitness` | regular test of a calibrated head with plane and sphere |
 
 mod autofocus;
@@ -23,7 +23,8 @@ mod job;
 mod survey;
 mod views;
 
-pub use autofocus::{Autofocus, Focused};
+pub(crate) use autofocus::lit_cells;
+pub use autofocus::{Autofocus, DieFocus, Focused};
 pub use board::{BoardFolder, BoardFolderError};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;

@@ -72,7 +72,7 @@ impl<O: Send + 'static> Surveyor<O> {
         target: &Target,
         positions: &[StagePose],
         (station, root): (&StationSettings, Arc<SharedRoot>),
-        mut make: impl FnMut(&Decoder, &Accumulator) -> O + Send + 'static,
+        make: impl FnMut(&Decoder, &Accumulator) -> O + Send + 'static,
     ) -> Result<Self, SurveyError> {
         let lacks = || SurveyError::HeadLacks {
             what: "pattern_set",
@@ -96,6 +96,19 @@ impl<O: Send + 'static> Surveyor<O> {
             lens: head.lens,
             projectors: head.projectors(),
         };
+        Self::start(program, decoder, root, make)
+    }
+
+    /// Starts the threads for the views of a program. `make` computes a result from the sums of a view.
+    ///
+    /// # Errors
+    /// Shared memory cannot be created.
+    pub(super) fn start(
+        program: Program,
+        decoder: Arc<Decoder>,
+        root: Arc<SharedRoot>,
+        mut make: impl FnMut(&Decoder, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, SurveyError> {
         let views = program.positions.len();
         let own = Arc::clone(&decoder);
         let make = move |_, sums: &Accumulator| make(&own, sums);

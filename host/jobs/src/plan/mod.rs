@@ -219,6 +219,23 @@ impl ViewPlan {
         further.map(|(at, _)| self.views.len() + at).collect()
     }
 
+    /// The view of one tooth or patch, with a way there that touches nothing: of the given one, else of the tool file's first.
+    ///
+    /// # Errors
+    /// As [`Self::new`], or the head would touch the die on its way.
+    pub(crate) fn of_one(
+        tool: &Tool,
+        head: &HeadModel,
+        station: &StationSettings,
+        tooth: Option<u32>,
+    ) -> Result<Self, PlanningError> {
+        let first = tool.inspected().first().copied();
+        let teeth: Vec<u32> = tooth.or(first).into_iter().collect();
+        let plan = Self::new(tool, head, Some(&teeth))?;
+        plan.check_way(tool, head, station)?;
+        Ok(plan)
+    }
+
     /// The same plan with the patterns shown in other light.
     pub(crate) fn lit(mut self, light: PatternLight) -> Self {
         self.lit_ratios = light.lit_ratios;

@@ -59,7 +59,8 @@ pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
 pub use sharpest::{
-    AxialDistance, Components, NotSharp, Sharpest, Sharpness, coarse, fine, sharpest,
+    AxialDistance, Components, MostContrast, NotSharp, Sharpest, Sharpness, coarse, fine,
+    most_contrast, sharpest,
 };
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Partner, Plate, Sphere, SphereAt, StageOffset, Target, TestPlace};

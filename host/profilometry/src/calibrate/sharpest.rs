@@ -75,6 +75,17 @@ pub struct Sharpest {
     pub sigma: Components,
 }
 
+/// Lens setting at which the fringes in the middle of the field have most contrast.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MostContrast {
+    /// The setting.
+    pub setting_dpt: f64,
+    /// Standard uncertainty due to deviations of the contrasts from a parabola.
+    pub sigma_dpt: f64,
+    /// Contrast there.
+    pub contrast: f64,
+}
+
 /// Parts of a standard uncertainty, dpt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Components {
@@ -122,7 +133,7 @@ struct Vertex {
 pub enum NotSharp {
     /// Too little of the field shows fringes.
     #[error(
-        "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the plate there, and lit?"
+        "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the surface there, and lit?"
     )]
     Dark {
         /// Lens driver counts.
@@ -142,7 +153,7 @@ pub enum NotSharp {
     },
     /// It goes on getting sharper.
     #[error(
-        "the fringes are sharpest at {counts} counts, the end of the lens' range ({} to {}): bring the plate nearer to where the middle of the range is sharp",
+        "the fringes are sharpest at {counts} counts, the end of the lens' range ({} to {}): bring the surface nearer to where the middle of the range is sharp",
         range[0], range[1]
     )]
     AtTheEnd {
@@ -328,6 +339,22 @@ pub fn sharpest(
     })
 }
 
+/// Lens setting at which the fringes in the middle have most contrast, from the fine settings: of a surface of any shape, without the
+/// corrections that need a plate.
+///
+/// # Errors
+/// [`NotSharp::NoVertex`].
+pub fn most_contrast(fine: &[Sharpness], lens: &LensDrive) -> Result<MostContrast, NotSharp> {
+    let ends = || fine.iter().map(|of| of.counts);
+    let between = [ends().min().unwrap_or(0), ends().max().unwrap_or(0)];
+    let middle = vertex(fine, between, |of| of.contrast).ok_or(NotSharp::NoVertex { between })?;
+    Ok(MostContrast {
+        setting_dpt: (middle.counts - lens.zero_counts) * lens.dpt_per_count,
+        sigma_dpt: middle.sigma_counts * lens.dpt_per_count.abs(),
+        contrast: middle.contrast,
+    })
+}
+
 /// Least squares of a parabola to the logarithms, over counts from -1 to 1.
 fn vertex(
     fine: &[Sharpness],
@@ -407,6 +434,8 @@ mod tests {
             let near = seen(fine(&rough).unwrap(), |counts| shown(counts, best));
             let found = middle(&near);
             assert!((found.counts - best).abs() < 1e-6, "{best}: {found:?}");
+            let most = most_contrast(&near, &LENS).unwrap();
+            assert!((most.setting_dpt - 0.0399 * (best - 516.0)).abs() < 1e-6);
             assert!((found.contrast - shown(0, 0.0)).abs() < 1e-9);
         }
     }

@@ -8,6 +8,7 @@
 //! | `flank_in_view` | a flank that was in view but not requested |
 //! | `identity` | how the teeth were numbered: by the operator or by the baseline |
 //! | `scan` | the JSON document of a scan, and the data of its report's pictures |
+//! | `setup` | the live view for setting up the head |
 
 mod check;
 mod evidence;
@@ -15,6 +16,7 @@ mod feature_id;
 mod flank_in_view;
 mod identity;
 pub mod scan;
+mod setup;
 
 pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
@@ -24,3 +26,6 @@ pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, Recorded
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
 pub use identity::{IdentifiedBy, ToothIdentity};
+pub use setup::{
+    ExpectedByHead, ExposureLevels, LostCapture, ProposedExposures, SetupCapture, SetupView,
+};
