@@ -21,6 +21,9 @@ use flankscope_metrology::view::{FurtherView, PlannedView};
 use flankscope_record::document::Inspection;
 use flankscope_record::origin::Setting;
 
+/// Teeth by which a further view's middle may lie beside its tooth: a field shows about three.
+const FURTHER_TEETH: u32 = 2;
+
 impl Job<ViewOutcome> {
     /// Starts the threads of a check of these frames, or of those of some `teeth`. Results state `setting` as their origin.
     ///
@@ -143,6 +146,21 @@ pub(crate) fn tooth_in_middle(
     }
 }
 
+/// Whether a view of an index shows its tooth from the side: another view has that tooth in the middle, this one a tooth near it.
+fn is_from_the_side(gear: &GearData, view: &IndexedView, all: &[IndexedView]) -> bool {
+    let (Some(tooth), Some(angle_rad)) = (view.tooth, view.rotation_rad) else {
+        return false;
+    };
+    let in_middle = |angle_rad: f64| gear.tooth_at(-angle_rad);
+    let apart = in_middle(angle_rad).abs_diff(tooth);
+    let apart = apart.min(gear.teeth.saturating_sub(apart));
+    let has_tooth_in_middle = |of: &IndexedView| {
+        let angle_rad = of.rotation_rad;
+        of.tooth == Some(tooth) && angle_rad.is_none_or(|angle_rad| in_middle(angle_rad) == tooth)
+    };
+    (1..=FURTHER_TEETH).contains(&apart) && all.iter().any(has_tooth_in_middle)
+}
+
 /// The views of recorded frames: those of `teeth`, else of the teeth in the index, else all. Also, for each view of the index,
 /// its position among them, if it is one of them.
 fn plan(
@@ -151,7 +169,12 @@ fn plan(
     recording: &Recording,
     teeth: Option<&[u32]>,
 ) -> Result<(ViewPlan, Vec<Option<usize>>), PlanningError> {
+    let is_further = |view: &IndexedView| {
+        let gear = tool.gear.as_ref();
+        gear.is_some_and(|gear| is_from_the_side(gear, view, &recording.index.view))
+    };
     let in_middle = |(at, view): (usize, &IndexedView)| match &tool.gear {
+        Some(_) if is_further(view) => view.tooth.ok_or(PlanningError::NoTeeth),
         Some(gear) => tooth_in_middle(gear, at, view),
         None if tool.patches.is_empty() => Err(PlanningError::NoGear),
         // Several patches may be in one view, so the index must name the patch.
@@ -168,14 +191,15 @@ fn plan(
     let asked = teeth.or(recording.index.teeth.as_deref()).unwrap_or(&all);
     let mut views = ViewPlan::looking_at(tool, head, asked)?;
     let mut view_of = vec![None; seen.len()];
-    let mut further: Vec<FurtherView> = Vec::new();
     let count = views.len();
+    let mut aside: Vec<(usize, PlannedView)> = Vec::new();
     for (place, planned) in views.iter_mut().enumerate() {
         let nominal = planned.clone();
-        for (at, said) in recording.index.view.iter().enumerate() {
-            if seen[at] != nominal.tooth {
-                continue;
-            }
+        let of_tooth = |at: &usize| seen[*at] == nominal.tooth;
+        let mut captures: Vec<usize> = (0..seen.len()).filter(of_tooth).collect();
+        captures.sort_by_key(|&at| is_further(&recording.index.view[at]));
+        for at in captures {
+            let said = &recording.index.view[at];
             let stood = PlannedView {
                 rotation_rad: said.rotation_rad.unwrap_or(nominal.rotation_rad),
                 vertical_mm: said.vertical_mm.unwrap_or(nominal.vertical_mm),
@@ -186,16 +210,21 @@ fn plan(
                     let tooth = planned.tooth;
                     return Err(PlanningError::Elsewhere { tooth });
                 }
-                let known = further.iter().position(|of| of.view == stood);
-                view_of[at] = Some(count + known.unwrap_or(further.len()));
-                if known.is_none() {
-                    let (flank, view) = (None, stood);
-                    further.push(FurtherView { flank, view });
-                }
+                aside.push((at, stood));
                 continue;
             }
             *planned = stood;
             view_of[at] = Some(place);
+        }
+    }
+    // The further views that a live check would have, and those from other places.
+    let mut further = ViewPlan::further_views(tool, head, &views);
+    for (at, view) in aside {
+        let known = further.iter().position(|of| of.view == view);
+        view_of[at] = Some(count + known.unwrap_or(further.len()));
+        if known.is_none() {
+            let flank = None;
+            further.push(FurtherView { flank, view });
         }
     }
     if tool.gear.is_none() {

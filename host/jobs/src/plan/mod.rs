@@ -187,7 +187,7 @@ impl ViewPlan {
             return Err(lacks("stage_from_camera"));
         }
         Ok(Self {
-            further: further::planned(tool, head, &views),
+            further: Self::further_views(tool, head, &views),
             views,
             patterns,
             lit_ratios: PatternLight::of(head).lit_ratios,
@@ -199,6 +199,15 @@ impl ViewPlan {
             top_mm: tool.top_mm(),
             stated: StatedPoses::default(),
         })
+    }
+
+    /// The further views that a check plans beside these views.
+    pub(crate) fn further_views(
+        tool: &Tool,
+        head: &HeadModel,
+        views: &[PlannedView],
+    ) -> Vec<FurtherView> {
+        further::planned(tool, head, views)
     }
 
     /// All views by number: the planned ones, then the further ones.
