@@ -54,7 +54,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
-#[command(name = "flankscope", version)]
+#[command(name = "flankscope", version = env!("FLANKSCOPE_VERSION"))]
 #[command(after_help = format!(
     "{}\n\n{COMMON_OPTIONS}\n\nExit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn, 130 interrupted",
     help::START

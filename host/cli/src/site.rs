@@ -1,5 +1,6 @@
 //! The site of a measurement: station, link and operator; and what a real press requires before a file is used or anything moves.
 
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -245,7 +246,21 @@ pub fn user_name() -> String {
     let name = ["USER", "LOGNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
+    // A service or a container has neither variable.
+    let name = name.or_else(name_of_uid);
     name.map_or_else(|| "unknown".into(), |name| plain(&name).into_owned())
+}
+
+/// Name of this process's user in /etc/passwd; without an entry its number.
+fn name_of_uid() -> Option<String> {
+    let uid = std::fs::metadata("/proc/self").ok()?.uid().to_string();
+    let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let name = users.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1) == Some(&uid)).then(|| name.to_owned())
+    });
+    Some(name.unwrap_or(uid))
 }
 
 /// Origin of a result; images from elsewhere have no link.

@@ -1,5 +1,6 @@
 //! `flankscope watch`: check every N press cycles, as a service.
 
+use std::collections::BTreeMap;
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -92,11 +93,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         |told| log.take(told),
     )?;
     if interrupt::is_requested() {
-        say(&format!(
-            "interrupted after {} checks; verdicts are no longer sent, which the press treats as no-go",
-            log.count
-        ));
+        say("interrupted; verdicts are no longer sent, which the press treats as no-go");
     }
+    log.say(&log.summary(shown.word()));
     let mut complaints = Complaints::default();
     let truth = complaints.hear(instrument.close(quiet)).flatten();
     complaints.hear(args.common.write_json(&json!({
@@ -149,7 +148,12 @@ fn acknowledgements() -> mpsc::Receiver<String> {
 struct Log<'a> {
     args: &'a Args,
     start: Instant,
-    count: u64,
+    /// Number of checks by verdict.
+    verdicts: BTreeMap<Word, u64>,
+    /// Openings at which a due check was not made, by the press's reason.
+    missed: BTreeMap<String, u64>,
+    /// Press cycles seen.
+    cycles: u64,
     /// All of them for `--json`, whose document ends with the watch; empty without it, because a watch may last for months.
     checks: Vec<Value>,
     papers: Papers,
@@ -160,7 +164,9 @@ impl<'a> Log<'a> {
         Self {
             args,
             start: Instant::now(),
-            count: 0,
+            verdicts: BTreeMap::new(),
+            missed: BTreeMap::new(),
+            cycles: 0,
             checks: Vec::new(),
             papers,
         }
@@ -169,13 +175,16 @@ impl<'a> Log<'a> {
     /// Handles one event; false stops the watch.
     fn take(&mut self, told: WatchEvent) -> bool {
         match told {
-            WatchEvent::Cycle(_) => {}
+            WatchEvent::Cycle(_) => self.cycles += 1,
             WatchEvent::Checking(cycle) => {
                 self.say(&format!("cycle {cycle}: press held, checking"))
             }
-            WatchEvent::Missed(cycle, fault) => self.say(&format!(
-                "cycle {cycle}: no check, the press did not admit the head ({fault}); next try at the next opening"
-            )),
+            WatchEvent::Missed(cycle, fault) => {
+                *self.missed.entry(fault.to_string()).or_default() += 1;
+                self.say(&format!(
+                    "cycle {cycle}: no check, the press did not admit the head ({fault}); next try at the next opening"
+                ));
+            }
             WatchEvent::Resumed(shown) => self.say(&format!(
                 "{} of an earlier check stays until it is acknowledged (press Enter)",
                 shown.word()
@@ -224,7 +233,7 @@ impl<'a> Log<'a> {
         let mut complaints = Complaints::default();
         complaints.hear_of(self.papers.lines.as_mut(), checked);
         complaints.hear_of(self.papers.page.as_mut(), &mut checked.inspection);
-        self.count += 1;
+        *self.verdicts.entry(inspection.verdict).or_default() += 1;
         if self.args.common.json.is_some() {
             let document = serde_json::to_value(&*checked).map_err(Into::into);
             self.checks.extend(complaints.hear(document));
@@ -232,6 +241,32 @@ impl<'a> Log<'a> {
         let Inspection { verdict, .. } = checked.inspection;
         let quiet = self.args.common.quiet;
         let _ = complaints.end(verdict, &checked.inspection.sentence(), quiet);
+    }
+
+    /// What the watch did, and which exit code follows.
+    fn summary(&self, shown: Word) -> String {
+        let checks: u64 = self.verdicts.values().sum();
+        let of_verdicts = self.verdicts.iter();
+        let of_verdicts: Vec<String> = of_verdicts.map(|(word, n)| format!("{n} {word}")).collect();
+        let made = match checks {
+            0 => "nothing was checked".to_owned(),
+            _ => format!("{checks} checks made: {}", of_verdicts.join(", ")),
+        };
+        let reasons = self.missed.iter();
+        let reasons: Vec<String> = reasons.map(|(why, n)| format!("{why}: {n}")).collect();
+        let missed = match (self.missed.values().sum::<u64>(), checks) {
+            (0, 0) => ", because no opening came at which a check was due".to_owned(),
+            (0, _) => String::new(),
+            (openings, _) => format!(
+                ", {openings} openings missed because the press did not admit the head ({})",
+                reasons.join(", ")
+            ),
+        };
+        format!(
+            "end of the watch after {} press cycles: {made}{missed}; the verdict that stands is {shown}, exit code {}",
+            self.cycles,
+            shown.exit_code()
+        )
     }
 
     fn say(&self, text: &str) {
