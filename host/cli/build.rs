@@ -10,13 +10,19 @@ fn git(arguments: &[&str]) -> Option<String> {
 
 fn main() {
     let release = env!("CARGO_PKG_VERSION");
-    let version = git(&["rev-parse", "--short=10", "HEAD"])
-        .map_or_else(|| release.to_owned(), |commit| format!("{release} ({commit})"));
+    let version = git(&["rev-parse", "--short=10", "HEAD"]).map_or_else(
+        || release.to_owned(),
+        |commit| format!("{release} ({commit})"),
+    );
     println!("cargo::rustc-env=FLANKSCOPE_VERSION={version}");
     println!("cargo::rerun-if-changed=build.rs");
     // What moves with a commit: HEAD, and the branch that it names.
     let branch = git(&["symbolic-ref", "-q", "HEAD"]);
-    for name in branch.iter().map(String::as_str).chain(["HEAD", "packed-refs"]) {
+    for name in branch
+        .iter()
+        .map(String::as_str)
+        .chain(["HEAD", "packed-refs"])
+    {
         let path = git(&["rev-parse", "--git-path", name]);
         if let Some(path) = path.filter(|path| std::path::Path::new(path).exists()) {
             println!("cargo::rerun-if-changed={path}");

@@ -103,6 +103,13 @@ text!(
         writes out/history.html with wear against cycles of every flank"
 );
 text!(
+    COMPARE_EXAMPLE: "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope inspect --link sim --wear 40:left:20 --history bench.db\n  \
+        flankscope compare bench.db 1 2 --page change.html\n\
+        shows what was lost from the first check to the second",
+    "Example:\n  flankscope compare press.db 12 40 --tool DIR --page change.html\n\
+        shows what was lost from check 12 to check 40"
+);
+text!(
     REPLAY_EXAMPLE: "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope replay bench.db 1\n\
         recomputes the first check of the history",
     "Example:\n  flankscope replay press.db 1 --tool DIR\n\

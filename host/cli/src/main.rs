@@ -15,6 +15,7 @@ mod calibrate_board;
 mod calibrate_focus;
 mod camera_process;
 mod clean;
+mod compare;
 mod decode;
 mod deviation;
 mod doctor;
@@ -83,6 +84,7 @@ enum Command {
     Gear(gear::Args),
     History(history::Args),
     Replay(replay::Args),
+    Compare(compare::Args),
     Trust(trust::Args),
     Doctor(doctor::Args),
     Patterns(patterns::Args),
@@ -163,6 +165,7 @@ fn main() -> ExitCode {
         Command::Gear(args) => gear::run(&args),
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Trust(args) => trust::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Patterns(args) => patterns::run(&args),

@@ -35,6 +35,15 @@ pub struct Args {
     /// Verify the whole history: its chain, every row against its document, and every verdict whose phasors are stored
     #[arg(long, conflicts_with = "id")]
     all: bool,
+    #[command(flatten)]
+    files: CheckFiles,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// The files that a stored check was made with.
+#[derive(clap::Args)]
+pub struct CheckFiles {
     #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
     /// Head file used for the check, instead of the tool folder's
@@ -43,29 +52,36 @@ pub struct Args {
     /// Station file used for the check
     #[arg(long, value_name = "STATION.toml")]
     station: Option<PathBuf>,
-    #[command(flatten)]
-    common: Common,
+}
+
+impl CheckFiles {
+    /// Tool, head and settings; says which tool is meant if none was named.
+    pub fn subject(&self, quiet: bool) -> anyhow::Result<Subject> {
+        let Self {
+            tool,
+            head,
+            station,
+        } = self;
+        let subject = instrument::subject(tool.as_deref(), head.as_deref(), station.as_deref())?;
+        if tool.is_none() && !quiet {
+            say(&format!(
+                "tool     {} (built in); --tool DIR for checks of another die",
+                subject.tool.name
+            ));
+        }
+        Ok(subject)
+    }
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let history = History::read(&args.file, &seals()?)?;
     history.verify()?;
-    let subject = instrument::subject(
-        args.tool.as_deref(),
-        args.head.as_deref(),
-        args.station.as_deref(),
-    )?;
-    if args.tool.is_none() && !args.common.quiet {
-        say(&format!(
-            "tool     {} (built in); --tool DIR for checks of another die",
-            subject.tool.name
-        ));
-    }
+    let subject = args.files.subject(args.common.quiet)?;
     let Some(id) = args.id else {
         return all(args, &history, &subject);
     };
-    let replay = Replay::of(&history, id, subject)?;
+    let replay = Replay::of(&history, id, &subject)?;
     let same = replay.differences.is_empty();
     let mut document = serde_json::to_value(&replay)?;
     document["same"] = json!(same);
@@ -86,7 +102,7 @@ fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outc
     let mut differing = BTreeMap::new();
     let ids = history.ids()?;
     for &id in &ids {
-        let differences = match Replay::of(history, id, subject.clone()) {
+        let differences = match Replay::of(history, id, subject) {
             Ok(replay) => {
                 replayed += 1;
                 replay.differences

@@ -10,7 +10,7 @@ use flankscope_profilometry::Picture;
 use flankscope_record::document::{FlankInView, FlankMap, Inspection};
 
 /// Pixels per millimetre of a map on the page.
-const PX_PER_MM: f64 = 30.0;
+pub(super) const PX_PER_MM: f64 = 30.0;
 /// Largest width of the raw frame on the page, px: it is for viewing, not for measurement.
 const FRAME_WIDTH: usize = 480;
 
@@ -97,19 +97,17 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
     page.render()
 }
 
+/// The cells of a map, row by row, as a picture; cells that were not measured are hatched.
+pub(super) fn cells_as_picture(columns: usize, deviation_um: &[f64], full_um: f64) -> String {
+    let pixel = |(place, &um): (usize, &f64)| match um.is_finite() {
+        true => colour::diverging(um / full_um),
+        false => colour::unmeasured(place % columns, place / columns),
+    };
+    let pixels: Vec<[u8; 3]> = deviation_um.iter().enumerate().map(pixel).collect();
+    colour::rgb_data_uri(columns, pixels.len() / columns.max(1), &pixels)
+}
+
 fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {
-    let pixels: Vec<[u8; 3]> = map
-        .deviation_um
-        .iter()
-        .enumerate()
-        .map(|(place, &um)| {
-            if um.is_finite() {
-                colour::diverging(um / full_um)
-            } else {
-                colour::unmeasured(place % map.columns, place / map.columns)
-            }
-        })
-        .collect();
     let flank = inspection.features.iter().find(|f| f.id.is_same(&map.id));
     let [wide_mm, high_mm] = map.size_mm;
     let disc = flank.and_then(|f| f.detail.as_ref()).map(|detail| {
@@ -129,7 +127,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         map,
         verdict: flank.map_or(Word::Indeterminate, |f| f.verdict),
         disc,
-        picture: colour::rgb_data_uri(map.columns, map.rows, &pixels),
+        picture: cells_as_picture(map.columns, &map.deviation_um, full_um),
         width_px: wide_mm * PX_PER_MM,
         height_px: high_mm * PX_PER_MM,
     }

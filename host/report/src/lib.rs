@@ -5,6 +5,7 @@ mod bars;
 mod chart;
 mod check;
 mod colour;
+mod comparison;
 mod folder;
 mod history;
 mod plot;
@@ -20,6 +21,7 @@ mod trend_chart;
 mod words;
 
 pub use check::html;
+pub use comparison::comparison_html;
 pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};
 pub use ring::numbered_ring;

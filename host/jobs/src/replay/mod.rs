@@ -1,4 +1,10 @@
 //! Computes a stored verdict again from its phasors and lists every difference.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `comparison` | what changed between two stored checks |
+
+mod comparison;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,6 +14,8 @@ use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+pub use comparison::compare;
 
 use crate::inspection::{Evaluator, EvaluatorError, Findings, ViewOutcome, recipe};
 use crate::plan::{PlanningError, ViewPlan};
@@ -23,6 +31,19 @@ pub enum ReplayError {
     /// Its row, document, phasors or baseline are missing, or differ from what was stored.
     #[error(transparent)]
     History(#[from] HistoryError),
+    /// The two checks to be compared were made with other files.
+    #[error(
+        "checks {} and {} were made with other {what} files (BLAKE3 {}, {}), so that their difference is not the die's; compare checks \
+         between which tool, CAD and head file stayed as they are", checks[0], checks[1], hashes[0], hashes[1]
+    )]
+    OtherFiles {
+        /// Numbers of the checks.
+        checks: [i64; 2],
+        /// Which file.
+        what: &'static str,
+        /// Its hash in either check.
+        hashes: [String; 2],
+    },
     /// The baseline is not the stored one.
     #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
     Baseline {
@@ -105,6 +126,99 @@ struct Stored {
     stopped: Option<String>,
     stopped_code: Option<Code>,
     hashes: BTreeMap<String, String>,
+    date: String,
+    press_cycles: i64,
+    link: String,
+    simulated: bool,
+    station: String,
+}
+
+impl Stored {
+    fn read(history: &History, id: i64) -> Result<(Self, Value), HistoryError> {
+        let in_document = |source| HistoryError::Stored { id, source };
+        let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
+        let stored = serde_json::from_value(document.clone()).map_err(in_document)?;
+        Ok((stored, document))
+    }
+
+    /// The subject with temperature and grid of the check.
+    fn subject(&self, subject: &Subject) -> Subject {
+        let mut subject = subject.clone();
+        subject.temperature_degc = self.recipe.temperature_degc;
+        if self.recipe.grid == GridKind::Pixel {
+            Arc::make_mut(&mut subject.head).core_map = None;
+        }
+        subject
+    }
+}
+
+/// A check computed again from its phasors.
+struct Computed {
+    plan: ViewPlan,
+    found: Findings,
+    captures: usize,
+}
+
+/// Computes a check again, for the tool, head and baseline of `subject`.
+fn compute(history: &History, stored: &Stored, subject: &Subject) -> Result<Computed, ReplayError> {
+    let plan = ViewPlan::of_recipe(&subject.tool, &subject.head, &stored.recipe)?;
+    let decoder = Arc::new(plan.decoder(&subject.head, None)?);
+    let evaluator = Evaluator::new(subject, Arc::clone(&decoder), &plan)?;
+    let views = plan.all_views().count();
+    let mut outcomes = BTreeMap::new();
+    let mut problems = BTreeMap::new();
+    let mut captures = 0;
+    let mut sums = decoder.begin();
+    for (view, evidence) in stored.evidence.iter().enumerate() {
+        if let Some(problem) = &evidence.problem {
+            problems.insert(view, Reason::from(problem));
+        }
+        let tooth = evidence.tooth;
+        let mut evaluated = |view: usize, blake3: &String| {
+            if view >= views {
+                return Err(ReplayError::NoSuchView { tooth, view, views });
+            }
+            let phasors = history.phasors(blake3, sums.byte_count())?;
+            let restored = sums.restore(&phasors.bytes);
+            restored.map_err(|source| ReplayError::Phasors {
+                blake3: blake3.clone(),
+                tooth,
+                source,
+            })?;
+            captures += 1;
+            let mut outcome = evaluator.evaluate(view, &sums);
+            outcome.phasors.push(phasors);
+            Ok(outcome)
+        };
+        let mut of_view: Option<ViewOutcome> = None;
+        for blake3 in &evidence.phasors {
+            let outcome = evaluated(view, blake3)?;
+            of_view = Some(match of_view {
+                Some(first) => first.with(outcome),
+                None => outcome,
+            });
+        }
+        for FurtherEvidence { view, phasors } in &evidence.further {
+            let outcome = evaluated(*view, phasors)?;
+            of_view = of_view.map(|first| first.with_further(*view, outcome));
+        }
+        outcomes.extend(of_view.map(|outcome| (view, outcome)));
+    }
+    let stopped = stored.stopped.as_ref().zip(stored.stopped_code);
+    let stopped = stopped.map(|(why, code)| Reason::instrument(code, why));
+    let found = Findings::of(
+        &subject.tool,
+        &plan,
+        outcomes,
+        &problems,
+        stopped.as_ref(),
+        subject.baseline.as_deref(),
+    );
+    Ok(Computed {
+        plan,
+        found,
+        captures,
+    })
 }
 
 impl Replay {
@@ -113,14 +227,9 @@ impl Replay {
     ///
     /// # Errors
     /// Data of the verdict are missing or damaged.
-    pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
-        let in_document = |source| HistoryError::Stored { id, source };
-        let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
-        let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
-        subject.temperature_degc = stored.recipe.temperature_degc;
-        if stored.recipe.grid == GridKind::Pixel {
-            Arc::make_mut(&mut subject.head).core_map = None;
-        }
+    pub fn of(history: &History, id: i64, subject: &Subject) -> Result<Self, ReplayError> {
+        let (stored, document) = Stored::read(history, id)?;
+        let mut subject = stored.subject(subject);
         if let Some(expected) = stored.hashes.get("baseline") {
             let baseline = baseline(history, expected)?.ok_or_else(|| ReplayError::Baseline {
                 id,
@@ -129,61 +238,13 @@ impl Replay {
             subject.hashes.insert("baseline", baseline.hash());
             subject.baseline = Some(Arc::new(baseline));
         }
-        let plan = ViewPlan::of_recipe(&subject.tool, &subject.head, &stored.recipe)?;
-        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
-        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
-        let views = plan.all_views().count();
-        let mut outcomes = BTreeMap::new();
-        let mut problems = BTreeMap::new();
-        let mut captures = 0;
-        let mut sums = decoder.begin();
-        for (view, evidence) in stored.evidence.iter().enumerate() {
-            if let Some(problem) = &evidence.problem {
-                problems.insert(view, Reason::from(problem));
-            }
-            let tooth = evidence.tooth;
-            let mut evaluated = |view: usize, blake3: &String| {
-                if view >= views {
-                    return Err(ReplayError::NoSuchView { tooth, view, views });
-                }
-                let phasors = history.phasors(blake3, sums.byte_count())?;
-                let restored = sums.restore(&phasors.bytes);
-                restored.map_err(|source| ReplayError::Phasors {
-                    blake3: blake3.clone(),
-                    tooth,
-                    source,
-                })?;
-                captures += 1;
-                let mut outcome = evaluator.evaluate(view, &sums);
-                outcome.phasors.push(phasors);
-                Ok(outcome)
-            };
-            let mut of_view: Option<ViewOutcome> = None;
-            for blake3 in &evidence.phasors {
-                let outcome = evaluated(view, blake3)?;
-                of_view = Some(match of_view {
-                    Some(first) => first.with(outcome),
-                    None => outcome,
-                });
-            }
-            for FurtherEvidence { view, phasors } in &evidence.further {
-                let outcome = evaluated(*view, phasors)?;
-                of_view = of_view.map(|first| first.with_further(*view, outcome));
-            }
-            outcomes.extend(of_view.map(|outcome| (view, outcome)));
-        }
+        let Computed {
+            plan,
+            found,
+            captures,
+        } = compute(history, &stored, &subject)?;
         let recipe = recipe(&subject, &plan);
         subject.hashes.insert("recipe", recipe.hash());
-        let stopped = stored.stopped.zip(stored.stopped_code);
-        let stopped = stopped.map(|(why, code)| Reason::instrument(code, why));
-        let found = Findings::of(
-            &subject.tool,
-            &plan,
-            outcomes,
-            &problems,
-            stopped.as_ref(),
-            subject.baseline.as_deref(),
-        );
         let mut now = json!({
             "verdict": found.verdict,
             "reason": found.reason,

@@ -3,6 +3,7 @@
 //! | file | holds |
 //! |---|---|
 //! | `check` | the JSON document of a check, and the data of its report's pictures |
+//! | `comparison` | what changed between two checks |
 //! | `evidence` | recipe, phasors and problems: enough to compute the verdict again |
 //! | `feature_id` | the flank or patch that a figure is of |
 //! | `flank_in_view` | a flank that was in view but not requested |
@@ -11,6 +12,7 @@
 //! | `setup` | the live view for setting up the head |
 
 mod check;
+mod comparison;
 mod evidence;
 mod feature_id;
 mod flank_in_view;
@@ -22,6 +24,7 @@ pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
     Timing, Toothing, ViewRegistration, ViewStatus, WeakDirection,
 };
+pub use comparison::{ComparedCheck, ComparedFlank, Comparison};
 pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
