@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let history = History::read(&args.file, &seals()?)?;
     history.verify()?;
     let subject = args.files.subject(args.common.quiet)?;
-    let comparison = replay::compare(&history, [args.before, args.after], &subject)?;
+    let comparison = replay::compare_checks(&history, [args.before, args.after], &subject)?;
     args.common.write_json(&comparison)?;
     if let Some(page) = &args.page {
         write_whole(page, comparison_html(&comparison)?.as_bytes())

@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if interrupt::is_requested() {
         say("interrupted; verdicts are no longer sent, which the press treats as no-go");
     }
-    log.say(&log.summary(shown.word()));
+    log.say(&log.summary(shown));
     let mut complaints = Complaints::default();
     let truth = complaints.hear(instrument.close(quiet)).flatten();
     complaints.hear(args.common.write_json(&json!({
@@ -233,7 +233,7 @@ impl<'a> Log<'a> {
         let mut complaints = Complaints::default();
         complaints.hear_of(self.papers.lines.as_mut(), checked);
         complaints.hear_of(self.papers.page.as_mut(), &mut checked.inspection);
-        *self.verdicts.entry(inspection.verdict).or_default() += 1;
+        *self.verdicts.entry(checked.inspection.verdict).or_default() += 1;
         if self.args.common.json.is_some() {
             let document = serde_json::to_value(&*checked).map_err(Into::into);
             self.checks.extend(complaints.hear(document));
@@ -244,7 +244,7 @@ impl<'a> Log<'a> {
     }
 
     /// What the watch did, and which exit code follows.
-    fn summary(&self, shown: Word) -> String {
+    fn summary(&self, shown: Shown) -> String {
         let checks: u64 = self.verdicts.values().sum();
         let of_verdicts = self.verdicts.iter();
         let of_verdicts: Vec<String> = of_verdicts.map(|(word, n)| format!("{n} {word}")).collect();
@@ -263,9 +263,10 @@ impl<'a> Log<'a> {
             ),
         };
         format!(
-            "end of the watch after {} press cycles: {made}{missed}; the verdict that stands is {shown}, exit code {}",
+            "end of the watch after {} press cycles: {made}{missed}; the verdict that stands is {}, exit code {}",
             self.cycles,
-            shown.exit_code()
+            shown.word(),
+            shown.verdict().exit_code()
         )
     }
 

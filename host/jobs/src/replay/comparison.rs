@@ -17,7 +17,7 @@ const SAME_FILES: [&str; 3] = ["tool", "cad", "head"];
 ///
 /// # Errors
 /// Data of a check are missing or damaged, or the two were made with other files.
-pub fn compare(
+pub fn compare_checks(
     history: &History,
     [before, after]: [i64; 2],
     subject: &Subject,
@@ -35,7 +35,7 @@ pub fn compare(
             });
         }
     }
-    let earlier = compute(history, &first, first.subject(subject))?.found;
+    let earlier = compute(history, &first, &first.subject(subject))?.found;
     let baseline = Baseline {
         tool: subject.tool.name.clone(),
         hashes: first.hashes.clone(),
@@ -46,7 +46,7 @@ pub fn compare(
     };
     let mut with_baseline = second.subject(subject);
     with_baseline.baseline = Some(Arc::new(baseline));
-    let later = compute(history, &second, with_baseline)?.found;
+    let later = compute(history, &second, &with_baseline)?.found;
     let compared = |id, stored: &Stored, of: &Findings| ComparedCheck {
         id,
         date: stored.date.clone(),

@@ -15,7 +15,7 @@ use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-pub use comparison::compare;
+pub use comparison::compare_checks;
 
 use crate::inspection::{Evaluator, EvaluatorError, Findings, ViewOutcome, recipe};
 use crate::plan::{PlanningError, ViewPlan};
