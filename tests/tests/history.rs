@@ -226,7 +226,8 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
     let history = Path::new(&file);
     for (id, code, captures, head) in [
         ("1", 0, 1, &[][..]),
-        ("2", 1, 1, &head),
+        // By pixels its tip edge or a part of it is not seen well enough: one further view.
+        ("2", 1, 2, &head),
         ("3", 4, 1, &[]),
         ("4", 2, 0, &[]),
     ] {
