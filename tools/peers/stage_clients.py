@@ -201,6 +201,8 @@ def instrumentkit_motion(controller, axis):
     axis.disable()
     expect("motor off", controller.query("1MO?").strip(), "0")
     axis.enable()
+    # Two readings are the same only of an axis that stands.
+    axis.wait_for_stop()
     expect("counts, a label only", float(axis.encoder_position.magnitude) == float(axis.position.magnitude), True)
     # It sends these without a direction, which the device demands.
     refused("to the limit without a direction", 38, axis.move_to_hardware_limit)
