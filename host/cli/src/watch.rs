@@ -93,7 +93,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         |told| log.take(told),
     )?;
     if interrupt::is_requested() {
-        say("interrupted; verdicts are no longer sent, which the press treats as no-go");
+        let checks: u64 = log.verdicts.values().sum();
+        say(&format!(
+            "interrupted after {checks} checks; verdicts are no longer sent, which the press treats as no-go"
+        ));
     }
     log.say(&log.summary(shown));
     let mut complaints = Complaints::default();

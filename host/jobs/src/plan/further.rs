@@ -7,7 +7,7 @@
 use std::f64::consts::TAU;
 
 use flankscope_foundation::rigid::{Camera, Rigid, Stage};
-use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::gear::{Flank, GearData, GearKind};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::view::{FurtherView, PlannedView};
 use flankscope_profilometry::HeadModel;
@@ -21,8 +21,12 @@ const QUARTERS: i32 = 5;
 const GAIN: f64 = 1.2;
 /// Points along radius and height of a zone.
 const RASTER: usize = 6;
-/// A ray that ends farther from its point was stopped by another tooth, mm.
-const HIDDEN_MM: f64 = 0.1;
+/// Step of the march from a point towards the camera, mm.
+const STEP_MM: f64 = 0.1;
+/// Steps until a ray has left the teeth: they are not higher than that.
+const MOST_STEPS: usize = 200;
+/// A ray may come this near to a tooth, mm: it starts on one.
+const GRAZE_MM: f64 = 0.02;
 
 /// The further views of all teeth of a plan; none for patches, and none where the pose rests on bands of the flanks, which a
 /// turned view shows in part only.
@@ -108,18 +112,10 @@ impl Looking<'_> {
             if along.dot(&axis) < least_cos || !(near_mm..far_mm).contains(&distance_mm) {
                 return 0.0;
             }
-            let met = self
-                .tool
-                .surface
-                .first_met(camera.into(), along.into(), [near_mm, far_mm]);
-            let is_seen = met.is_some_and(|met| {
-                (Vector3::from(met.point) - Vector3::from(point)).norm() < HIDDEN_MM
-            });
             let normal = Vector3::from(self.gear.flank_normal(flank, point));
-            if is_seen {
-                along.dot(&normal).abs()
-            } else {
-                0.0
+            match self.is_covered(point.into(), -along) {
+                true => 0.0,
+                false => along.dot(&normal).abs(),
             }
         };
         let part = |[low, high]: [f64; 2], at: usize| {
@@ -132,5 +128,27 @@ impl Looking<'_> {
                 .flank_point(view.tooth, flank, radius_mm, height_mm)
         });
         raster.map(cosine).sum()
+    }
+
+    /// Whether a tooth lies between a point of a flank and the camera.
+    fn is_covered(&self, point: Vector3<f64>, towards: Vector3<f64>) -> bool {
+        for step in 1..=MOST_STEPS {
+            let at = point + towards * (STEP_MM * step as f64);
+            let (radius_mm, angle_rad) = (at.x.hypot(at.y), at.y.atan2(at.x));
+            let is_out = match self.gear.kind {
+                GearKind::Internal => radius_mm < self.gear.tip_radius_mm,
+                GearKind::External => radius_mm > self.gear.tip_radius_mm,
+            };
+            if is_out {
+                return false;
+            }
+            let middle_rad = self.gear.tooth_centre_rad(self.gear.tooth_at(angle_rad));
+            let off_rad = (angle_rad - middle_rad).sin().asin().abs();
+            let half_rad = self.gear.half_tooth_rad(radius_mm).unwrap_or(0.0);
+            if off_rad * radius_mm < half_rad * radius_mm - GRAZE_MM {
+                return true;
+            }
+        }
+        true
     }
 }
