@@ -4,16 +4,15 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use flankscope_foundation::files::write_whole;
 use flankscope_jobs::replay;
-use flankscope_record::document::{Comparison, Expanded};
+use flankscope_record::document::Comparison;
 use flankscope_record::history::History;
-use flankscope_report::{Words, comparison_html, figure};
+use flankscope_report::{Words, comparison_html, expanded_in_words, wear_in_words};
 
 use crate::help;
 use crate::inspect::{SIMULATED, widest};
 use crate::instrument::seals;
-use crate::output::{Common, Outcome, try_place};
+use crate::output::{Common, Outcome, try_place, write_whole};
 use crate::replay::CheckFiles;
 use crate::terminal::Terminal;
 
@@ -51,8 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let comparison = replay::compare_checks(&history, [args.before, args.after], &subject)?;
     args.common.write_json(&comparison)?;
     if let Some(page) = &args.page {
-        write_whole(page, comparison_html(&comparison)?.as_bytes())
-            .with_context(|| format!("cannot write {}", page.display()))?;
+        write_whole(page, comparison_html(&comparison)?.as_bytes())?;
     }
     if args.common.shows_table() {
         print(&comparison)?;
@@ -80,24 +78,15 @@ fn print(comparison: &Comparison) -> anyhow::Result<()> {
         words.number, words.one, "wear before", "wear after", "lost since"
     );
     writeln!(out, "\n{}", on.text(&header))?;
-    let absolute = |of: Option<Expanded>| {
-        of.map_or_else(
-            || "–".into(),
-            |of| format!("{:.1} ± {:.1}", of.value, of.u95),
-        )
-    };
     for flank in &comparison.flanks {
         let since = &flank.since;
-        let lost = match since.at_least_um {
-            Some(least_um) => format!("≥ {least_um:.1}"),
-            None => format!("{} ± {}", figure(since.wear_um), figure(since.u95_um)),
-        };
         let line = format!(
-            "{:>5} {:<wide$} {:>14} {:>14} {lost:>14}  ",
+            "{:>5} {:<wide$} {:>14} {:>14} {:>14}  ",
             flank.id.tooth,
             flank.id.side(),
-            absolute(flank.before_um),
-            absolute(flank.after_um),
+            expanded_in_words(flank.before_um),
+            expanded_in_words(flank.after_um),
+            wear_in_words(since),
         );
         let word = on.in_colour(since.verdict, since.verdict.as_str());
         writeln!(out, "{}{word}", on.text(&line))?;

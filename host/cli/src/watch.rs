@@ -93,9 +93,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         |told| log.take(told),
     )?;
     if interrupt::is_requested() {
-        let checks: u64 = log.verdicts.values().sum();
         say(&format!(
-            "interrupted after {checks} checks; verdicts are no longer sent, which the press treats as no-go"
+            "interrupted after {} checks; verdicts are no longer sent, which the press treats as no-go",
+            log.checks_made()
         ));
     }
     log.say(&log.summary(shown));
@@ -246,9 +246,13 @@ impl<'a> Log<'a> {
         let _ = complaints.end(verdict, &checked.inspection.sentence(), quiet);
     }
 
+    fn checks_made(&self) -> u64 {
+        self.verdicts.values().sum()
+    }
+
     /// What the watch did, and which exit code follows.
     fn summary(&self, shown: Shown) -> String {
-        let checks: u64 = self.verdicts.values().sum();
+        let checks = self.checks_made();
         let of_verdicts = self.verdicts.iter();
         let of_verdicts: Vec<String> = of_verdicts.map(|(word, n)| format!("{n} {word}")).collect();
         let made = match checks {

@@ -1,10 +1,10 @@
 //! The page that compares two checks: the flanks' wear in either, and their maps side by side.
 
 use askama::Template;
-use flankscope_record::document::{ComparedFlank, Comparison, Expanded, FeatureId, FlankMap};
+use flankscope_record::document::{ComparedFlank, Comparison, FeatureId, FlankMap};
 
 use super::check::{PX_PER_MM, cells_as_picture};
-use super::{Words, chart, figure};
+use super::{Words, chart, expanded_in_words, wear_in_words};
 
 #[derive(Template)]
 #[template(path = "comparison.html")]
@@ -52,25 +52,15 @@ pub fn comparison_html(comparison: &Comparison) -> Result<String, askama::Error>
 
 /// Tooth, side, wear before, wear after, loss since, proud since, verdict on the loss.
 fn row(flank: &ComparedFlank) -> [String; 7] {
-    let absolute = |of: Option<Expanded>| {
-        of.map_or_else(
-            || "–".into(),
-            |of| format!("{:.1} ± {:.1}", of.value, of.u95),
-        )
-    };
     let since = &flank.since;
-    let loss = match since.at_least_um {
-        Some(least_um) => format!("≥ {least_um:.1}"),
-        None => format!("{} ± {}", figure(since.wear_um), figure(since.u95_um)),
-    };
     let proud = since.detail.as_ref().map(|detail| detail.proud_um);
     [
         flank.id.tooth.to_string(),
         flank.id.side().to_owned(),
-        absolute(flank.before_um),
-        absolute(flank.after_um),
-        loss,
-        absolute(proud),
+        expanded_in_words(flank.before_um),
+        expanded_in_words(flank.after_um),
+        wear_in_words(since),
+        expanded_in_words(proud),
         since.verdict.to_string(),
     ]
 }

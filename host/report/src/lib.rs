@@ -30,7 +30,7 @@ pub use scan_files::{scan_mesh, scan_ply};
 pub use setup::setup_html;
 pub use words::Words;
 
-use flankscope_record::document::{Feature, FlankDetail};
+use flankscope_record::document::{Expanded, Feature, FlankDetail};
 use flankscope_record::origin::Origin;
 
 /// Definitions of a check's results: the same text in reports, help texts and documentation.
@@ -81,6 +81,13 @@ pub fn wear_in_words(of: &Feature) -> String {
         Some(um) => format!("≥ {}", figure(Some(um))),
         None => format!("{} ± {}", figure(of.wear_um), figure(of.u95_um)),
     }
+}
+
+/// A value in µm with its expanded uncertainty; a dash if absent.
+#[must_use]
+pub fn expanded_in_words(of: Option<Expanded>) -> String {
+    let interval = |of: Expanded| format!("{} ± {}", figure(Some(of.value)), figure(Some(of.u95)));
+    of.map_or_else(|| "–".into(), interval)
 }
 
 /// A contribution to a flank's uncertainty for a table; a dash if absent.

@@ -10,8 +10,7 @@ use super::job::InspectError;
 use super::outcome::ViewOutcome;
 use super::views::hand_eye;
 use crate::job::{Job, RecordError, RecordedFrames};
-use crate::plan::check_seen;
-use crate::plan::{PlanningError, ViewPlan};
+use crate::plan::{PlanningError, ViewPlan, check_seen, further_views};
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, Progress, Recording, Run, ViewError,
@@ -218,7 +217,7 @@ fn plan(
         }
     }
     // The further views that a live check would have, and those from other places.
-    let mut further = ViewPlan::further_views(tool, head, &views);
+    let mut further = further_views(tool, head, &views);
     for (at, view) in aside {
         let known = further.iter().position(|of| of.view == view);
         view_of[at] = Some(count + known.unwrap_or(further.len()));

@@ -30,7 +30,11 @@ const GRAZE_MM: f64 = 0.02;
 
 /// The further views of all teeth of a plan; none for patches, and none where the pose rests on bands of the flanks, which a
 /// turned view shows in part only.
-pub(super) fn planned(tool: &Tool, head: &HeadModel, views: &[PlannedView]) -> Vec<FurtherView> {
+pub(crate) fn further_views(
+    tool: &Tool,
+    head: &HeadModel,
+    views: &[PlannedView],
+) -> Vec<FurtherView> {
     let (Some(gear), Some(first)) = (&tool.gear, views.first()) else {
         return Vec::new();
     };

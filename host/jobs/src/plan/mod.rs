@@ -13,6 +13,7 @@ use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, Pa
 
 pub(crate) use field::FieldOfView;
 pub use field::NoVolume;
+pub(crate) use further::further_views;
 pub use patch_view::PatchViewError;
 pub(crate) use patch_view::check_seen;
 
@@ -187,7 +188,7 @@ impl ViewPlan {
             return Err(lacks("stage_from_camera"));
         }
         Ok(Self {
-            further: Self::further_views(tool, head, &views),
+            further: further_views(tool, head, &views),
             views,
             patterns,
             lit_ratios: PatternLight::of(head).lit_ratios,
@@ -199,15 +200,6 @@ impl ViewPlan {
             top_mm: tool.top_mm(),
             stated: StatedPoses::default(),
         })
-    }
-
-    /// The further views that a check plans beside these views.
-    pub(crate) fn further_views(
-        tool: &Tool,
-        head: &HeadModel,
-        views: &[PlannedView],
-    ) -> Vec<FurtherView> {
-        further::planned(tool, head, views)
     }
 
     /// All views by number: the planned ones, then the further ones.

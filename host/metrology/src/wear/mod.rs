@@ -31,6 +31,7 @@ mod unseen;
 #[cfg(test)]
 pub(crate) use unseen::tests as looked;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use flankscope_foundation::normal::guard_factor;
@@ -324,34 +325,31 @@ impl FlankWear {
         before: Option<&PoseEvidence>,
         settings: &WearSettings,
     ) {
-        let MeasuredZone { views, .. } = &self.measured;
-        let read = if let [view] = &views[..] {
-            self.field.average(&view.samples, reference);
-            self.coverage = self.field.coverage();
-            let scale = self.field.noise_scale();
-            let systematic_mm = self.budget.systematic_mm();
-            figures::evaluate(
-                &self.field,
-                &view.samples,
-                scale,
-                |discs| unseen::of_cells(discs, view.visibility.as_ref(), scale),
-                settings,
-                systematic_mm,
-            )
-        } else {
-            let joined = further::join(&self.field, views, reference, settings.area_mm2);
-            self.field = joined.field;
-            self.coverage = self.field.coverage();
-            let systematic_mm = self.budget.systematic_mm();
-            figures::evaluate(
-                &self.field,
-                &joined.samples,
-                self.field.noise_scale(),
-                |_| joined.unseen,
-                settings,
-                systematic_mm,
-            )
+        let views = &self.measured.views;
+        let main = &views[0];
+        let joined = (views.len() > 1)
+            .then(|| further::join(&self.field, views, reference, settings.area_mm2));
+        let (samples, unseen) = match joined {
+            Some(joined) => {
+                self.field = joined.field;
+                (Cow::from(joined.samples), Some(joined.unseen))
+            }
+            None => {
+                self.field.average(&main.samples, reference);
+                (Cow::from(&main.samples), None)
+            }
         };
+        self.coverage = self.field.coverage();
+        let scale = self.field.noise_scale();
+        let visibility = main.visibility.as_ref();
+        let read = figures::evaluate(
+            &self.field,
+            &samples,
+            scale,
+            |discs| unseen.unwrap_or_else(|| unseen::of_cells(discs, visibility, scale)),
+            settings,
+            self.budget.systematic_mm(),
+        );
         self.judged = read.map(|read| self.judge(read, before, settings));
     }
 
