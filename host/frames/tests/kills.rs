@@ -1,4 +1,4 @@
-//! Kills at random moments, a thousand where everything runs, leave nothing after the next start: no folder, no shared memory.
+//! Kills at random moments, three hundred where everything runs, leave nothing after the next start: no folder, no shared memory.
 //!
 //! The test starts itself: as an owner, which starts itself as a camera process that ends with it.
 
@@ -17,7 +17,7 @@ fn main() {
     match words[1..] {
         ["owner", base] => owner(Path::new(base)),
         ["camera", root] => camera(Path::new(root)),
-        _ => kills_leave_nothing(if everything() { 1_000 } else { 100 }),
+        _ => kills_leave_nothing(if everything() { 300 } else { 100 }),
     }
 }
 

@@ -1,5 +1,5 @@
-//! A process that stores checks is killed again and again, a thousand times where everything runs, and runs out of disk at every place: no verdict that it gave is
-//! lost, none that it could not store was a go.
+//! A process that stores checks is killed again and again, four hundred times where everything runs, and runs out of disk at every
+//! place: no verdict that it gave is lost, none that it could not store was a go.
 //!
 //! The test starts itself as the process that is killed, so it has no harness. What a power cut loses cannot be tried
 //! here: it rests on SQLite's journal and `synchronous = FULL`.
@@ -29,7 +29,7 @@ fn main() {
         return store(Path::new(path), checks.parse().unwrap());
     }
     let folder = tempfile::tempdir().unwrap();
-    kills_lose_no_verdict(folder.path(), if everything() { 25 } else { 3 });
+    kills_lose_no_verdict(folder.path(), if everything() { 10 } else { 3 });
     a_full_disk_never_gives_go(folder.path());
 }
 

@@ -1,6 +1,6 @@
 //! Random damage cut into the die, photographed, decoded and judged, against the exact distance of die and drawing.
 //!
-//! A hundred and twenty damages with `FLANKSCOPE_TEST_ALL=1`, else a few; and dies of families that the verdict
+//! Forty damages with `FLANKSCOPE_TEST_ALL=1`, else a few; and dies of families that the verdict
 //! once presumed away. Rates with bounds are the study's (`cargo xtask study families`).
 
 use std::collections::BTreeMap;
@@ -99,7 +99,7 @@ fn by_wear(one: &Judgement) -> bool {
 
 #[test]
 fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
-    let count = if everything() { 120 } else { 8 };
+    let count = if everything() { 40 } else { 8 };
     let all = random_damages(count, SEED, |line| println!("{line}")).expect("the bench");
     assert_eq!(all.len(), count as usize);
 

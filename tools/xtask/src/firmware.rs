@@ -107,21 +107,16 @@ pub fn build(root: &Path) -> Result<(), String> {
     }
 }
 
-/// Runs the emulated STM32's test, then the in-situ check in-process and through the emulated image, compares them and prints the
-/// image's timing.
+/// Runs the in-situ check in-process and through the emulated image, compares them and prints the image's timing.
 pub fn qemu(root: &Path) -> Result<(), String> {
     build(root)?;
     if !is_on_path("qemu-system-arm") {
         return Err("qemu-system-arm is missing; get it: apt-get install qemu-system-arm".into());
     }
-    println!("{EMULATED_STM32} in QEMU: protocol, contacts' interrupts and resets");
-    let mut test = crate::cargo(&["test", "--quiet", "-p", "flankscope-controller"]);
-    test.args(["--test", "emulated_stm32"])
-        .env("FLANKSCOPE_TEST_ALL", "1")
-        .current_dir(root);
-    crate::run(test)?;
-    let sim = inspect(root, &["--link", "sim", "--speed", "max"])?;
-    let emulated = inspect(root, &["--link", "qemu"])?;
+    let program = crate::test_programs()?.join("flankscope");
+    let inspect = |arguments: &[&str]| inspect(root, Command::new(&program), arguments);
+    let sim = inspect(&["--link", "sim", "--speed", "max"])?;
+    let emulated = inspect(&["--link", "qemu"])?;
     let figures = &emulated["truth"]["controller"];
     let number = |value: &Value| value.as_u64().map_or_else(|| "?".into(), |n| n.to_string());
     let spread = |key: &str| {
@@ -197,19 +192,12 @@ fn untimed(value: &Value) -> Value {
     }
 }
 
-/// What a check says, as JSON; fails unless it said go.
-pub fn inspect(root: &Path, arguments: &[&str]) -> Result<Value, String> {
-    let mut command = crate::cargo(&[
-        "run",
-        "--release",
-        "--quiet",
-        "--",
-        "inspect",
-        "--quiet",
-        "--json",
-        "-",
-    ]);
-    command.args(arguments).current_dir(root);
+/// What a check by that program says, as JSON; fails unless it said go.
+pub fn inspect(root: &Path, mut command: Command, arguments: &[&str]) -> Result<Value, String> {
+    command
+        .args(["inspect", "--quiet", "--json", "-"])
+        .args(arguments)
+        .current_dir(root);
     eprintln!("$ {command:?}");
     let output = command
         .output()

@@ -24,8 +24,7 @@ cargo xtask COMMAND
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
   firmware               every board image, with its budgets
-  qemu                   the board's program on an emulated STM32, then the check through the emulated image: same verdict as
-                         in-process, and its timing
+  qemu                   a check through the controller's image in an emulator: same verdict as in-process, and its timing
   demo                   the README's first command, as a newcomer runs it
   bench [--peers VENV]   our figures beside other tools', on the same data in one run (BENCHMARK.md)
   bench --instructions   instructions of the hot kernels, counted by valgrind; fails where one became dearer
@@ -129,9 +128,7 @@ fn test(all: bool) -> Result<(), String> {
     // The one does not keep the other back: who mends wants to know of both.
     let mut tests = tests::run_all(&root(), all);
     if all {
-        // What a press gets, where there is no bench: its dependencies are built once more.
-        let deployment = ["-p", "flankscope", "--no-default-features", "--bins"];
-        tests = tests.and(run(self::cargo(&[&["test"][..], &deployment].concat())));
+        tests = tests.and(deployment());
         tests = tests.and(run(self::cargo(&[&["test"][..], INTERLEAVINGS].concat())));
         tests = tests.and(python::run_all(&root()));
     }
@@ -149,8 +146,8 @@ fn test(all: bool) -> Result<(), String> {
     }
     if !all {
         eprintln!(
-            "  --all adds                 10 times the kills (2 000), 10 seeds instead of 2, 120 damaged dies instead of 8, \
-             30 000 drawn flanks instead of 3 000; three times the shapes of damage, surfaces and unmodelled errors; uneven \
+            "  --all adds                 three times the kills (700), drawn flanks (10 000), \
+             twice the seeds, 40 damaged dies instead of 8; three times the shapes of damage, surfaces and unmodelled errors; uneven \
              lenses, dies of other teeth or put down turned by one, a study in small, README and docs/hardware.md step by \
              step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; \
              interleavings of the simulated controller's threads; a deployment without a bench; the Python package; and fails where something cannot run"
@@ -160,6 +157,22 @@ fn test(all: bool) -> Result<(), String> {
         (Err(tests), Err(arrows)) => Err(format!("{tests}; {arrows}")),
         (tests, arrows) => tests.and(arrows),
     }
+}
+
+/// Tests what a press gets, where there is no bench. Its dependencies are built once more, so nothing is optimised: only help and
+/// command lines are looked at.
+fn deployment() -> Result<(), String> {
+    run(cargo(&[
+        "test",
+        "-p",
+        "flankscope",
+        "--no-default-features",
+        "--bins",
+        "--config",
+        "profile.dev.opt-level=0",
+        "--config",
+        "profile.dev.package.libsqlite3-sys.opt-level=0",
+    ]))
 }
 
 /// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that
@@ -223,14 +236,19 @@ fn demo() -> Result<(), String> {
     run(cargo(&["run", "--release", "--", "inspect"]))
 }
 
-/// With the checks of the test profile in both programs: an overflow is a finding. Built as the tests build them, once.
-fn campaign(rest: &[&str]) -> Result<(), String> {
+/// The folder of the workspace's programs in the profile of the tests, as the tests build them: after those nothing is left to build.
+fn test_programs() -> Result<PathBuf, String> {
     let mut build = cargo(&["build", "--workspace", "--bins"]);
     build.args(features());
     run(build)?;
-    let target = target().join("debug");
-    let mut campaign = Command::new(target.join("flankscope-campaign"));
-    let program = target.join("flankscope");
+    Ok(target().join("debug"))
+}
+
+/// With the checks of the test profile in both programs: an overflow is a finding.
+fn campaign(rest: &[&str]) -> Result<(), String> {
+    let programs = test_programs()?;
+    let mut campaign = Command::new(programs.join("flankscope-campaign"));
+    let program = programs.join("flankscope");
     campaign
         .current_dir(root())
         .arg("--program")
@@ -294,7 +312,6 @@ fn ci() -> Result<(), String> {
     doc()?;
     arrows(&root())?;
     campaign(&["--seconds", "60"])?;
-    demo()?;
     firmware::qemu(&root())
 }
 

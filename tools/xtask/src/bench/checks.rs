@@ -15,7 +15,7 @@ pub fn run(root: &Path, count: usize) -> Result<(), String> {
     let (mut latencies_ms, mut handovers_us, mut totals_ms) = (Vec::new(), Vec::new(), Vec::new());
     for number in 0..count {
         let seed = number.to_string();
-        let document = crate::firmware::inspect(root, &["--teeth", "40", "--seed", &seed])?;
+        let document = inspect(root, &["--teeth", "40", "--seed", &seed])?;
         let take = |value: &Value| value.as_f64().ok_or("a figure is missing");
         latencies_ms.push(take(&document["timing_ms"]["last_exposure_to_verdict"])?);
         totals_ms.push(take(&document["timing_ms"]["total"])?);
@@ -50,7 +50,7 @@ fn features(root: &Path) -> Result<(), String> {
     let (mut totals, mut latencies) = (Vec::new(), Vec::new());
     for count in TEETH {
         let teeth: Vec<String> = (0..count).map(|n| (40 + n).to_string()).collect();
-        let document = crate::firmware::inspect(root, &["--teeth", &teeth.join(",")])?;
+        let document = inspect(root, &["--teeth", &teeth.join(",")])?;
         let take = |key: &str| {
             let value = document["timing_ms"][key].as_f64();
             value.ok_or_else(|| format!("timing_ms.{key} is missing"))
@@ -75,4 +75,10 @@ fn features(root: &Path) -> Result<(), String> {
         Some(svg) => plot::save(&folder, "features", &svg),
         None => Ok(()),
     }
+}
+
+/// What a check by the release program says.
+fn inspect(root: &Path, arguments: &[&str]) -> Result<Value, String> {
+    let release = crate::cargo(&["run", "--release", "--quiet", "--"]);
+    crate::firmware::inspect(root, release, arguments)
 }

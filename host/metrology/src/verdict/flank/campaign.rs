@@ -2,7 +2,7 @@
 //! damage's shape and wherever the holes are.
 //!
 //! A damage is drawn on a flank's zone, its truth found by brute force over all discs of a raster, its points sampled with
-//! noise and a calibration error of the stated size, then judged. `FLANKSCOPE_TEST_ALL=1` draws 30 000, else a few thousand.
+//! noise and a calibration error of the stated size, then judged. `FLANKSCOPE_TEST_ALL=1` draws 10 000, else a few thousand.
 
 use std::f64::consts::TAU;
 
@@ -289,7 +289,7 @@ fn measure(
 
 /// Number of damages that are drawn.
 fn count() -> u64 {
-    if everything() { 30_000 } else { 3_000 }
+    if everything() { 10_000 } else { 3_000 }
 }
 
 /// One damage: its true depth, whether it has a hole, and the decisions with and without the refusal of hidden wear.
