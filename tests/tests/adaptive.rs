@@ -353,6 +353,12 @@ fn passes_show_of_polished_steel_what_all_mirrors_at_once_do_not() {
         return;
     }
     let (folder, tool) = demo_tool();
+    // One view by either set of patterns, none from the side.
+    let file = tool.join("tool.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let once = text.replace("[inspect]\n", "[inspect]\nremeasure = 0\n");
+    assert_ne!(text, once, "no table [inspect]");
+    std::fs::write(&file, once).unwrap();
     let out = folder.path().join("out");
     pictures(&tool, &out, "0.03");
     let path = tool.to_str().unwrap();

@@ -201,7 +201,7 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
 /// Draws the dies of the families; nothing was chosen by it.
 const FAMILY_SEED: u64 = 2029;
 /// Dies of each family where everything must run, and of the first ones else.
-const DIES: u32 = 6;
+const DIES: u32 = 3;
 
 /// A go beyond the stop limit is never right. Rough dies and dies of class 7 are go, but for one flank by chance; how many dies with
 /// hairlines are not is told, and docs/study/families.md has the rates.
