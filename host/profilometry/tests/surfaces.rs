@@ -423,6 +423,47 @@ fn direct_and_global_light_come_back() {
     }
 }
 
+/// A surface that grows brighter from row to row: its light is the same whether the longer exposure saturates there or not.
+#[test]
+fn the_light_of_a_point_does_not_say_which_exposures_count() {
+    const GAINS: [f64; 2] = [1.0, 4.0];
+    let head = head();
+    let patterns = PatternSet::named("high12").unwrap();
+    let columns = columns(&head, plane([0.0, 0.0, 1.0], 22.0));
+    let exposures_us = GAINS.map(|gain| (1000.0 * gain) as u32);
+    let options = DecodeOptions::for_head(&head);
+    let decoder = Decoder::new(&head, &patterns, &exposures_us, options).unwrap();
+    let full_dn = f64::from(decoder.full_scale_dn());
+    let offset_dn = head.sensor.unwrap().offset_dn;
+    let light = Light {
+        // The longer exposure saturates in the brighter half.
+        mean_e: 0.8 * (full_dn - offset_dn) / (GAINS[1] * (1.0 + BRIGHT.contrast)),
+        ..BRIGHT
+    };
+    let part = |row: usize| 0.5 + 1.5 * row as f64 / HEIGHT as f64;
+    let mut frames = capture(&head, &decoder, &patterns, &columns, &GAINS, &light);
+    for (_, pixels) in &mut frames {
+        for (at, dn) in pixels.iter_mut().enumerate() {
+            let lit_dn = (f64::from(*dn) - offset_dn) * part(at / WIDTH);
+            *dn = (offset_dn + lit_dn).round().min(full_dn) as u16;
+        }
+    }
+    let cloud = decoder
+        .finish(&accumulate(&decoder, &frames))
+        .unwrap()
+        .cloud;
+    let expected_e_per_ms = light.mean_e * light.contrast;
+    let mut rows = [0; HEIGHT];
+    for (cell, &found) in cloud.cell.iter().zip(&cloud.fringes_e_per_ms) {
+        let row = usize::from(cell[1]);
+        rows[row] += 1;
+        let ratio = f64::from(found) / (expected_e_per_ms * part(row));
+        // Counts are whole numbers.
+        assert!((ratio - 1.0).abs() < 0.01, "row {row}: {ratio}");
+    }
+    assert!(rows.iter().all(|&points| 2 * points > WIDTH), "{rows:?}");
+}
+
 /// The head with a projector on the other side, a little nearer and with another lens.
 fn twin() -> HeadModel {
     let head = head();

@@ -283,7 +283,7 @@ impl Evaluator {
                 dark: &dark,
                 undecoded: &undecoded,
                 range_mm: self.field.range_mm,
-                light: &cold.light_e,
+                light: &cold.light,
             }),
         };
         let assessed = match (&fit.registration.status, &self.scale) {
@@ -339,7 +339,7 @@ impl Evaluator {
         ColdPoints {
             points: chosen.iter().map(cold).collect(),
             sigma: chosen.iter().map(|&i| cloud.sigma_z_mm[i]).collect(),
-            light_e: chosen.iter().map(|&i| cloud.modulation_e[i]).collect(),
+            light: chosen.iter().map(|&i| cloud.fringes_e_per_ms[i]).collect(),
             dropped,
         }
     }
@@ -555,8 +555,8 @@ impl Evaluator {
 struct ColdPoints {
     points: Vec<[f64; 3]>,
     sigma: Vec<f32>,
-    /// Direct light of each: amplitude of the finest fringes, electrons.
-    light_e: Vec<f32>,
+    /// Direct light of each: amplitude of the finest fringes, electrons per millisecond.
+    light: Vec<f32>,
     /// Indices of the cloud's outliers.
     dropped: Vec<usize>,
 }

@@ -19,8 +19,9 @@ pub struct Cloud {
     pub sigma_z_mm: Vec<f32>,
     /// Column and row in the grid of blocks; on the core grid, of the pixel nearest to the core.
     pub cell: Vec<[u16; 2]>,
-    /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
-    pub modulation_e: Vec<f32>,
+    /// Amplitude of the finest fringes in electrons per millisecond, summed over the cell's pixels: it says nothing of which exposures
+    /// saturated.
+    pub fringes_e_per_ms: Vec<f32>,
     /// Light straight from the projector and over other ways.
     pub light: Vec<LightParts>,
     /// Modulation for the mask: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
@@ -34,7 +35,7 @@ impl Cloud {
             points_mm: Vec::with_capacity(points),
             sigma_z_mm: Vec::with_capacity(points),
             cell: Vec::with_capacity(points),
-            modulation_e: Vec::with_capacity(points),
+            fringes_e_per_ms: Vec::with_capacity(points),
             light: Vec::new(),
             fringes_dn: Vec::new(),
         }

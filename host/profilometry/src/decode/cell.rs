@@ -41,7 +41,8 @@ pub(super) struct CellResult {
     pub sigma_z_mm: f32,
     /// Depth over one turn of the finest phase: what a phase that is noise leaves undetermined.
     pub turn_mm: f32,
-    pub modulation_e: f32,
+    /// Amplitude of the finest fringes, electrons per millisecond.
+    pub fringes_e_per_ms: f32,
     /// Misfit of the clues to the fringe order: chi-square per degree of freedom. NaN where no order was found.
     pub clue_chi_square: f32,
     /// Distance to the next order, in predicted standard deviations of the clues.
@@ -55,7 +56,8 @@ pub(super) struct Column {
     pub column_px: f64,
     /// Standard deviation of the phase of the finest frequency, rad.
     pub sigma_rad: f64,
-    pub modulation_e: f64,
+    /// Amplitude of the finest fringes, electrons per millisecond.
+    pub fringes_e_per_ms: f64,
     pub clue_chi_square: f32,
     pub separation: f32,
     pub column_chi_square: f32,
@@ -87,7 +89,7 @@ impl CellResult {
             direction: [f64::NAN; 2],
             sigma_z_mm: f32::NAN,
             turn_mm: f32::NAN,
-            modulation_e: 0.0,
+            fringes_e_per_ms: 0.0,
             clue_chi_square: f32::NAN,
             separation: 0.0,
             column_chi_square: f32::NAN,
@@ -209,6 +211,7 @@ impl Decoder {
             return Err(Fate::Inconsistent.into());
         }
         let phase = self.fine_phase(&seen[..=finest], found.absolute_rad);
+        let exposed_ms = 1e-3 * self.exposed_us(band.phasor(finest, index).exposures);
         let fringes = self.patterns.finest();
         let column_px = fringes.column_px(phase.absolute_rad, self.projector_width_px);
         if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
@@ -217,7 +220,7 @@ impl Decoder {
         Ok(Column {
             column_px,
             sigma_rad: phase.sigma_rad * view.frame_noise_ratio.max(1.0),
-            modulation_e: estimate.modulation_e,
+            fringes_e_per_ms: estimate.modulation_e / exposed_ms,
             clue_chi_square,
             separation: found.separation as f32,
             column_chi_square: phase.chi_square,
@@ -391,7 +394,7 @@ impl Decoder {
             direction,
             sigma_z_mm: depth_mm(column.sigma_rad) as f32,
             turn_mm: depth_mm(TAU) as f32,
-            modulation_e: column.modulation_e as f32,
+            fringes_e_per_ms: column.fringes_e_per_ms as f32,
             clue_chi_square: column.clue_chi_square,
             separation: column.separation,
             column_chi_square: column.column_chi_square,

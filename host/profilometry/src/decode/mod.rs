@@ -457,6 +457,12 @@ impl Decoder {
         bands.concat()
     }
 
+    /// Time of the exposures that count in a cell, of which only the longest saturate.
+    fn exposed_us(&self, used: u8) -> f64 {
+        let used = &self.exposures_us[..usize::from(used)];
+        used.iter().map(|&us| f64::from(us)).sum()
+    }
+
     /// Median contrast of each frequency over the cells with a point that the second projector does not count more in.
     fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
         let of_set = |set: usize| -> Option<f64> {
@@ -604,7 +610,7 @@ impl Decoder {
                         cloud.points_mm.push([x * z, y * z, z]);
                         cloud.sigma_z_mm.push(result.sigma_z_mm);
                         cloud.cell.push(place);
-                        cloud.modulation_e.push(result.modulation_e);
+                        cloud.fringes_e_per_ms.push(result.fringes_e_per_ms);
                         cloud.fringes_dn.extend(fringes_dn.map(|dn| dn[cell]));
                         continue;
                     }

@@ -30,16 +30,9 @@ impl Decoder {
         let finest = layout.steps.len() - 1;
         let strength = |band: &Band, index: usize| {
             let phasor = band.phasor(finest, index);
-            // Only the longest exposures saturate.
             match phasor.exposures {
                 0 => f32::INFINITY,
-                used => {
-                    let lit_us: f32 = self.exposures_us[..usize::from(used)]
-                        .iter()
-                        .map(|&us| us as f32)
-                        .sum();
-                    phasor.re.hypot(phasor.im) / lit_us
-                }
+                used => phasor.re.hypot(phasor.im) / self.exposed_us(used) as f32,
             }
         };
         let joined = |(at, band): (usize, &mut Band)| {

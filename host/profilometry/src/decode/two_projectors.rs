@@ -49,7 +49,7 @@ pub(super) fn join(first: &mut [CellResult], second: &[CellResult], allowed_mm: 
                     depth_mm: between(one.depth_mm, two.depth_mm),
                     direction: [0, 1].map(|axis| between(one.direction[axis], two.direction[axis])),
                     sigma_z_mm: sigma_mm as f32,
-                    modulation_e: one.modulation_e + two.modulation_e,
+                    fringes_e_per_ms: one.fringes_e_per_ms + two.fringes_e_per_ms,
                     ..*one
                 };
             }
@@ -80,7 +80,7 @@ mod tests {
             direction: [0.1, -0.2],
             sigma_z_mm,
             turn_mm: 0.3,
-            modulation_e: 100.0,
+            fringes_e_per_ms: 100.0,
             clue_chi_square: 1.0,
             separation: 9.0,
             column_chi_square: 1.0,
