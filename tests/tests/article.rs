@@ -112,10 +112,10 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (session, report) = (path("session"), path("report"));
-    let scanned = scan(&["--views", "42x1", "--session", &session]);
+    let scanned = scan(&["--views", "84x1", "--session", &session]);
     assert_eq!(
         scanned.json["registration"].as_array().map(Vec::len),
-        Some(42),
+        Some(84),
         "{}",
         scanned.stderr
     );
@@ -129,9 +129,9 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         kept(session, view, of.as_u64().unwrap())
     };
 
-    // What thresholds leave of every fourth view.
-    let fringes: Vec<f32> = (0..42)
-        .step_by(4)
+    // What thresholds leave of every seventh view.
+    let fringes: Vec<f32> = (0..84)
+        .step_by(7)
         .flat_map(points)
         .map(|(_, dn)| dn)
         .collect();
@@ -161,7 +161,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     };
     let said = &made.json["serial"][0]["off_um"];
     let mut compared = 0;
-    for view in 0..42 {
+    for view in 0..84 {
         let said_mm = [0, 1].map(|k| said[view][k].as_f64().unwrap() / 1e3);
         // Farther off, points would be taken for the next flank's.
         if said_mm[0].hypot(said_mm[1]) > 0.3 {
@@ -180,7 +180,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     assert!(compared >= 3, "{compared}");
     // Ours and the article's lie on the drawing all around.
     for name in ["article", "surface"] {
-        let at = laid(name, 21);
+        let at = laid(name, 42);
         let told_mm = off_mm(&at, centre(&at));
         assert!(
             told_mm.iter().all(|mm| mm.abs() < 0.01),
@@ -242,7 +242,7 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     std::fs::write(&settings, "pairs = \"pairs.csv\"\n").unwrap();
     let picked = scan(&[
         "--views",
-        "42x1",
+        "84x1",
         "--session",
         session.to_str().unwrap(),
         "--method",
@@ -252,8 +252,8 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     ]);
     let method = &picked.json["methods"][1];
     assert_eq!(method["start"], "picked pairs", "{}", picked.stderr);
-    assert_eq!(method["registered_views"], 42);
-    assert_eq!(picked.json["resumed_views"], 42);
+    assert_eq!(method["registered_views"], 84);
+    assert_eq!(picked.json["resumed_views"], 84);
     let rows = pose(&picked.json["registration"][0]["tool_from_camera"]);
     let at: Vec<[f64; 3]> = points(0).iter().map(|(p, _)| moved(&rows, *p)).collect();
     let told_mm = off_mm(&at, centre(&at));
