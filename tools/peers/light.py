@@ -12,6 +12,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from pinhole_head import COLUMNS, PROJECTOR_FOCAL, ROWS, camera_at, even, fov_deg, place, projector_from_camera, steel
 
 mi.set_variant("llvm_ad_mono")
 die, out = sys.argv[1], Path(sys.argv[2])
@@ -19,40 +20,11 @@ out.mkdir(parents=True, exist_ok=True)
 
 SCALE = 4  # pixels of the sensor per pixel here, along each axis
 WIDTH, HEIGHT, FOCAL = 1920 // SCALE, 1200 // SCALE, 2530.0 / SCALE
-COLUMNS, ROWS, PROJECTOR_FOCAL = 1024, 768, 2252.8
 SAMPLES = {2: 32, 6: 96}
 
 # Tooth 12 of 84, the head 30 mm up and a little off its place.
-angle = 2 * np.pi / 84 * 11.5
-camera = np.eye(4)
-camera[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-from_stage = np.eye(4)
-from_stage[:3, :3], from_stage[:3, 3] = [[0, 0, 1], [0, -1, 0], [1, 0, 0]], [19.5, 0, 30.0]
-camera = camera @ from_stage
-camera[:3, 3] += [0.02, -0.03, 0.01]
-cos, sin = np.cos(np.radians(30)), np.sin(np.radians(30))
-projector_from_camera = np.eye(4)
-projector_from_camera[:3, :3] = [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]]
-projector_from_camera[:3, 3] = [11.0, 0, 22 - 22 * cos]
+camera = camera_at(2 * np.pi / 84 * 11.5, 30.0, [0.02, -0.03, 0.01])
 projector = camera @ np.linalg.inv(projector_from_camera)
-
-
-def place(pose):
-    """Mitsuba looks along +z with x to the left and y up."""
-    return mi.ScalarTransform4f(pose @ np.diag([-1.0, -1, 1, 1]))
-
-
-def fov_deg(size, focal):
-    return float(np.degrees(2 * np.arctan(size / 2 / focal)))
-
-
-def even(value):
-    return {"type": "spectrum", "value": value}
-
-
-def steel(alpha):
-    return {"type": "roughconductor", "alpha": alpha, "distribution": "ggx", "eta": even(2.4), "k": even(3.4)}
-
 
 SURFACES = {
     "sprayed": {"type": "diffuse", "reflectance": even(0.6)},

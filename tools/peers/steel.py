@@ -12,6 +12,18 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from pinhole_head import (
+    COLUMNS,
+    PROJECTOR_FOCAL,
+    ROWS,
+    camera_at,
+    even,
+    fov_deg,
+    place,
+    projector_from_camera,
+    stage_from_camera,
+    steel,
+)
 
 mi.set_variant("llvm_ad_rgb")
 arguments = argparse.ArgumentParser()
@@ -26,7 +38,6 @@ given = arguments.parse_args()
 EXPOSURES = [float(ratio) for ratio in given.exposures.split(",")]
 
 WIDTH, HEIGHT, FOCAL = 960, 600, 1265.0
-COLUMNS, ROWS, PROJECTOR_FOCAL = 1024, 768, 2252.8
 PITCH, HEIGHT_MM = 2 * np.pi / 84, 33.0
 TOOTH = 39.5 * PITCH
 OFF_MM = [0.035, -0.020, 0.040]  # the die on its seat, which the stages do not know of
@@ -34,44 +45,8 @@ SETS = [(41, 4), (45, 4), (48, 8)]  # high16: periods, steps
 ELECTRONS_PER_COUNT, READ_NOISE_E, OFFSET = 7.91, 7.0, 100
 STRAIGHT, ALL = 2, 6  # path edges: light straight from the projector, over up to five places
 
-from_stage = np.eye(4)
-from_stage[:3, :3], from_stage[:3, 3] = [[0, 0, 1], [0, -1, 0], [1, 0, 0]], [19.5, 0, HEIGHT_MM]
-cos, sin = np.cos(np.radians(30)), np.sin(np.radians(30))
-projector_from_camera = np.eye(4)
-projector_from_camera[:3, :3] = [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]]
-projector_from_camera[:3, 3] = [11.0, 0, 22 - 22 * cos]
-
-
-def camera_of(turn):
-    angle = TOOTH - turn * PITCH
-    pose = np.eye(4)
-    pose[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    pose = pose @ from_stage
-    pose[:3, 3] += OFF_MM
-    return pose
-
-
-def place(pose):
-    """Mitsuba looks along +z with x to the left and y up."""
-    return mi.ScalarTransform4f(pose @ np.diag([-1.0, -1, 1, 1]))
-
-
-def fov_deg(size, focal):
-    return float(np.degrees(2 * np.arctan(size / 2 / focal)))
-
-
-def even(value):
-    return {"type": "spectrum", "value": value}
-
 
 def scene_of(camera, picture, edges):
-    steel = {
-        "type": "roughconductor",
-        "alpha": given.roughness,
-        "distribution": "ggx",
-        "eta": even(2.4),
-        "k": even(3.4),
-    }
     film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "pixel_format": "rgb"}
     film |= {"component_format": "float32", "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "fov": fov_deg(WIDTH, FOCAL), "fov_axis": "x", "near_clip": 0.1, "film": film}
@@ -79,7 +54,7 @@ def scene_of(camera, picture, edges):
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(picture), "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
     projector = {"type": "projector", "fov": fov_deg(COLUMNS, PROJECTOR_FOCAL), "scale": 1.0, "irradiance": bitmap}
     projector |= {"to_world": place(camera @ np.linalg.inv(projector_from_camera))}
-    die = {"type": "ply", "filename": given.die, "face_normals": True, "bsdf": {"type": "twosided", "surface": steel}}
+    die = {"type": "ply", "filename": given.die, "face_normals": True, "bsdf": {"type": "twosided", "surface": steel(given.roughness)}}
     path = {"type": "path", "max_depth": edges}
     return mi.load_dict({"type": "scene", "integrator": path, "sensor": sensor, "emitter": projector, "die": die})
 
@@ -141,7 +116,7 @@ random = np.random.default_rng(1)
 gain = None
 index = 'simulated = true\nplan = "plan.toml"\nhead = "head.toml"\n'
 for turn in [float(pitches) for pitches in given.turns.split(",")]:
-    camera = camera_of(turn)
+    camera = camera_at(TOOTH - turn * PITCH, HEIGHT_MM, OFF_MM)
     light = lanes(camera, ALL)
     if given.average:
         straight = lanes(camera, STRAIGHT)
@@ -170,8 +145,7 @@ lenses = ""
 for name, width, height, focal in (("camera", WIDTH, HEIGHT, FOCAL), ("projector", COLUMNS, ROWS, PROJECTOR_FOCAL)):
     lenses += f"[{name}]\nwidth_px = {width}\nheight_px = {height}\nfocal_px = [{focal}, {focal}]\n"
     lenses += f"principal_px = [{(width - 1) / 2}, {(height - 1) / 2}]\n"
-from_stage[2, 3] = 0
-for name, pose in (("projector_from_camera", projector_from_camera), ("stage_from_camera", from_stage)):
+for name, pose in (("projector_from_camera", projector_from_camera), ("stage_from_camera", stage_from_camera)):
     lenses += f"[{name}]\nrotation = {table(pose)}\ntranslation_mm = {[float(value) for value in pose[:3, 3]]}\n"
 exposures = ", ".join(f"{10_000 * ratio:.0f}" for ratio in EXPOSURES)
 sets = "".join(f"[[set]]\nperiods = {periods}\nsteps = {steps}\n" for periods, steps in SETS)

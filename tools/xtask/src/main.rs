@@ -170,8 +170,6 @@ fn deployment() -> Result<(), String> {
         "--bins",
         "--config",
         "profile.dev.opt-level=0",
-        "--config",
-        "profile.dev.package.libsqlite3-sys.opt-level=0",
     ]))
 }
 

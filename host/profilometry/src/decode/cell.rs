@@ -211,12 +211,12 @@ impl Decoder {
             return Err(Fate::Inconsistent.into());
         }
         let phase = self.fine_phase(&seen[..=finest], found.absolute_rad);
-        let exposed_ms = 1e-3 * self.exposed_us(band.phasor(finest, index).exposures);
         let fringes = self.patterns.finest();
         let column_px = fringes.column_px(phase.absolute_rad, self.projector_width_px);
         if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
             return Err(Fate::OutsideProjector.into());
         }
+        let exposed_ms = 1e-3 * self.exposed_us(band.phasor(finest, index).exposures);
         Ok(Column {
             column_px,
             sigma_rad: phase.sigma_rad * view.frame_noise_ratio.max(1.0),
