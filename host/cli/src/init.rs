@@ -26,7 +26,7 @@ const MOST_CHORD: f64 = 0.2;
     after_help = "Example:\n  flankscope init die.stl --teeth 12,40,68 --warn-um 30 --limit-um 50 --out die\n\n\
     The mesh must be a spur gear, internal or external, anywhere in space: it is moved so that the gear's axis is z, its teeth are\n\
     counted anticlockwise from +x, seen from +z. Pitch circle is the one on which teeth and spaces are equally wide. A STEP file is\n\
-    meshed first, for example by  gmsh die.step -2 -clmax 0.3 -o die.stl  or in FreeCAD (Mesh, Create mesh from shape)."
+    meshed first:\n  gmsh die.step -2 -bin -setnumber Mesh.MeshSizeFromCurvature 200 -setnumber Mesh.MeshSizeMax 5 -o die.stl"
 )]
 pub struct Args {
     /// CAD mesh: PLY, STL or OBJ
@@ -123,7 +123,8 @@ impl Args {
         let is_step = ending.is_some_and(|ending| ending == "step" || ending == "stp");
         ensure!(
             !is_step,
-            "{} is STEP, which is not read; mesh it first:  gmsh {0} -2 -clmax 0.3 -o die.stl  (or FreeCAD: Mesh, Create mesh from shape)",
+            "{} is STEP, which is not read; mesh it first:  gmsh {0} -2 -bin -setnumber Mesh.MeshSizeFromCurvature 200 -setnumber \
+             Mesh.MeshSizeMax 5 -o die.stl  (other ways: docs/guide.md)",
             self.cad.display()
         );
         let named = [

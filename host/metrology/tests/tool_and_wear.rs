@@ -557,4 +557,26 @@ fn the_cad_of_a_tool_is_wound_as_its_gear_says() {
         assert!((found - 0.1).abs() < 5e-3, "{found}");
     }
     assert!(matches!(load(&halved), Err(ToolError::Unsigned { .. })));
+    // Without the facets of one flank there is nothing to compare it with, open or not outside of it.
+    for mesh in [&solid, &bore] {
+        let is_flank = |triangle: &[u32; 3]| {
+            let corners = triangle.map(|i| mesh.vertices[i as usize]);
+            let near = |[x, y, _]: &[f64; 3]| (x - foot[0]).hypot(y - foot[1]) < 0.2;
+            corners.iter().any(near)
+        };
+        let kept = mesh.triangles.iter().copied();
+        let with_hole = TriMesh {
+            triangles: kept.filter(|triangle| !is_flank(triangle)).collect(),
+            ..mesh.clone()
+        };
+        assert!(with_hole.triangles.len() < mesh.triangles.len());
+        let refused = load(&with_hole).unwrap_err();
+        let ToolError::Open { hole_mm, .. } = refused else {
+            panic!("{refused}");
+        };
+        assert!(
+            (hole_mm[0] - foot[0]).hypot(hole_mm[1] - foot[1]) < 1.0,
+            "{hole_mm:?}"
+        );
+    }
 }

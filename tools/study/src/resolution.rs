@@ -316,12 +316,12 @@ fn draw(charts: &[(&str, Vec<Field>)]) -> Result<String, std::fmt::Error> {
 /// Limits of what the chart shows.
 const NO_EVIDENCE: &str = "## What no evidence shows\n\n\
     * Openings narrower than some 0.03 mm: no point comes from their floors, and the rays that end on their walls scatter no more \
-    than a rough surface does. Side by side they are passed whatever their depth (the red fields); the limits of wear must leave \
-    room for that, or such texture must be looked for by eye.\n\
+    than a rough surface does. Side by side only the light tells them: walls that face the lamp come back brighter. Where that is \
+    not so (a red field), the limits of wear must leave room for such texture, or it must be looked for by eye.\n\
     * Single openings read as nearly nothing where they are narrower than two of the camera's cores see; as long as their true mean \
     over the disc is below the limits, go is right, but the figure is then too low by more than U95.\n\
-    * The bench gives a core one line of sight. A real core sees some 0.03 mm across, so that texture finer than that is averaged \
-    before anything scatters.\n\
+    * The bench gives a core one line of sight. A real core sees some 0.03 mm across, so that finer texture is averaged before \
+    anything scatters, and its light with it: the fields at 0.02 mm hold for the bench alone.\n\
     * One head, one place (tooth 40, the middle of the die), steep walls and flat floors, one capture a field: round and V-shaped \
     ones at any angle are in [families](families.md).\n";
 

@@ -203,6 +203,16 @@ impl GearData {
         Ok(())
     }
 
+    /// Whether a place lies in the toothing: between tip and root circle, and more than 0.1 mm within its ends.
+    pub fn is_toothing(&self, [x, y, z]: [f64; 3]) -> bool {
+        const END_MM: f64 = 0.1;
+        let radius_mm = x.hypot(y);
+        let [low, high] = self.height_mm;
+        let within = self.tip_radius_mm.min(self.root_radius_mm)
+            ..=self.tip_radius_mm.max(self.root_radius_mm);
+        within.contains(&radius_mm) && low + END_MM < z && z < high - END_MM
+    }
+
     /// Pitch radius, mm.
     pub fn pitch_radius_mm(&self) -> f64 {
         0.5 * self.module_mm * f64::from(self.teeth)

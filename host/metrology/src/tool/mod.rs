@@ -453,6 +453,16 @@ pub enum ToolError {
         /// Reason.
         source: Unsigned,
     },
+    /// The mesh has a hole in the toothing: where the CAD has no surface, nothing can be judged.
+    #[error("{}: CAD mesh {} is not closed: between the ends of the teeth it has a hole at ({:.3}, {:.3}, {:.3}) mm; right would be the surface of a solid (gaps up to 1 um between faces do not count): export the die as a solid, or repair the mesh", path.display(), cad.display(), hole_mm[0], hole_mm[1], hole_mm[2])]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// The mesh.
+        cad: PathBuf,
+        /// Middle of an edge beside which nothing lies.
+        hole_mm: [f64; 3],
+    },
     /// The mesh's material lies on the other side of a flank than the gear's.
     #[error("{}: gear data and CAD mesh disagree: the material of the mesh lies on the other side of the {flank} flank of tooth {tooth}; check gear.kind, and whether the mesh is the die or what is formed in it", path.display())]
     OtherSide {
@@ -518,6 +528,9 @@ impl Tool {
         let mut surface = Surface::new(&mesh).map_err(in_mesh)?;
         if let Some(gear) = &file.gear {
             check::against_mesh(&path, gear, &mesh, &surface)?;
+            if let Some(hole_mm) = orientation.rim.hole(|place| gear.is_toothing(place)) {
+                return Err(ToolError::Open { path, cad, hole_mm });
+            }
             let is_closed = orientation.open_edges == 0;
             if check::is_inside_out(&path, gear, &surface, is_closed)? {
                 mesh.turn_inside_out();

@@ -6,6 +6,7 @@
 //! part it cannot be known: the file's own order stands, that of most of the part's area where it is mixed.
 
 mod repeated;
+mod rim;
 #[cfg(test)]
 mod tests;
 mod winding;
@@ -18,6 +19,7 @@ use crate::io::mesh::{TriMesh, weld};
 use crate::space::Aabb;
 use crate::surface::Surface;
 use repeated::drop_repeated;
+pub use rim::Rim;
 use winding::{Parities, edges};
 
 /// A part of an open mesh whose smaller half is more than this share of its area has no order that could stand.
@@ -28,7 +30,7 @@ const LEAST_VOLUME: f64 = 1e-6;
 const MOST_PARTS: usize = 2000;
 
 /// Result of [`orient`].
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Orientation {
     /// Triangles in all, without those that repeat another one.
     pub triangles: usize,
@@ -38,6 +40,9 @@ pub struct Orientation {
     pub turned: usize,
     /// Edges that do not lie between two triangles: where the mesh is open, or more than two meet. None of a solid.
     pub open_edges: usize,
+    /// The edges of one triangle only.
+    #[serde(skip)]
+    pub rim: Rim,
     /// Reason for which distances to the mesh have no sign; none when they have one.
     #[serde(skip)]
     pub unsigned: Option<Unsigned>,
@@ -137,7 +142,7 @@ struct MeshPart {
 ///
 /// The mesh must hold its invariants ([`TriMesh::check`]).
 pub fn orient(mesh: &mut TriMesh) -> Orientation {
-    let (_, joined) = weld(&mesh.vertices);
+    let (places, joined) = weld(&mesh.vertices);
     let repeated = drop_repeated(mesh, &joined);
     let ids: Vec<[u32; 3]> = mesh
         .triangles
@@ -145,12 +150,17 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
         .map(|corners| corners.map(|i| joined[i as usize]))
         .collect();
     let mut parities = Parities::new(ids.len());
-    let (mut open, mut open_edges) = (Vec::new(), 0);
+    let (mut open, mut open_edges, mut rim) = (Vec::new(), 0, Rim::default());
     let mut one_sided = Vec::new();
     for edge in edges(&ids).chunk_by(|a, b| a.ends == b.ends) {
         let [a, b] = edge else {
             open.extend(edge.iter().map(|side| side.triangle as usize));
             open_edges += 1;
+            if let [only] = edge {
+                let (a, b) = only.ends;
+                rim.edges_mm
+                    .push([a, b].map(|corner| places[corner as usize]));
+            }
             continue;
         };
         // Along a shared edge neighbours run in opposite directions.
@@ -176,6 +186,7 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
         repeated,
         turned: 0,
         open_edges,
+        rim,
         unsigned: None,
     };
     let solids = match solids(mesh, &of, &parts) {

@@ -138,6 +138,31 @@ fn an_open_mesh_keeps_the_order_of_its_file_and_says_so() {
     }
 }
 
+/// A cube whose lid has its own corners on one edge, off by the rounding of a float: no light passes. Without a triangle it has a hole.
+#[test]
+fn a_crack_is_no_hole() {
+    let mut cracked = cube([0.0; 3], 1.0);
+    let anywhere = |_: [f64; 3]| true;
+    assert_eq!(orient(&mut cracked.clone()).rim.edges_mm.len(), 0);
+    let (from, to) = (
+        cracked.vertices[cracked.triangles[0][0] as usize],
+        cracked.vertices[cracked.triangles[0][1] as usize],
+    );
+    let third = cracked.vertices[cracked.triangles[0][2] as usize];
+    let middle: [f64; 3] = std::array::from_fn(|k| (from[k] + to[k]) / 2.0 + 1e-6);
+    let first = cracked.vertices.len() as u32;
+    cracked.vertices.extend([from, middle, to, third]);
+    cracked.triangles[0] = [first, first + 1, first + 3];
+    cracked.triangles.push([first + 1, first + 2, first + 3]);
+    let found = orient(&mut cracked);
+    assert_eq!((found.open_edges, found.rim.hole(anywhere)), (3, None));
+    cracked.triangles.pop();
+    let rim = orient(&mut cracked).rim;
+    let hole = rim.hole(anywhere).expect("a hole");
+    assert!(hole.iter().all(|c| c.abs() <= 1.0 + 1e-6), "{hole:?}");
+    assert_eq!(rim.hole(|[.., z]| z.abs() > 2.0), None, "asked elsewhere");
+}
+
 /// A strip of squares, of which one triangle is wound against the rest.
 #[test]
 fn a_few_wrong_triangles_of_an_open_mesh_are_turned_and_many_refused() {
