@@ -122,6 +122,36 @@ fn stands_alone(page: &Path) -> usize {
     text.len()
 }
 
+/// The page in space fits, shows its picture or says why not, and its program decodes the cells of `cells.csv`.
+fn the_map_in_space_holds_the_table(browser: &Browser, page: &Path, table: &str) {
+    assert!(stands_alone(page) < 250_000, "kept small");
+    browser.fits(page, 2);
+    let script = "addEventListener('load', () => { const { cells } = cellsOf(JSON.parse(by('data').textContent)); \
+        const seen = cells.filter((cell) => cell.um !== null).map((cell) => cell.um); \
+        say([by('with').hidden !== by('without').hidden, cells.length, seen.length, Math.min(...seen), Math.max(...seen)].join(' ')); })";
+    let said = browser.ask(page, 800, script);
+    let said: Vec<&str> = said.split(' ').collect();
+    let cells = table
+        .lines()
+        .skip(1)
+        .map(|line| line.rsplit(',').next().unwrap());
+    let um: Vec<f64> = cells.clone().filter_map(|um| um.parse().ok()).collect();
+    let counts = [
+        "true".into(),
+        cells.count().to_string(),
+        um.len().to_string(),
+    ];
+    assert_eq!(said[..3], counts);
+    let ends = [
+        um.iter().copied().fold(0.0, f64::min),
+        um.iter().copied().fold(0.0, f64::max),
+    ];
+    for (said, told) in said[3..].iter().zip(ends) {
+        let said: f64 = said.parse().unwrap();
+        assert!((said - told).abs() < 0.02, "{said} and {told}");
+    }
+}
+
 #[test]
 fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     let Some(browser) = Browser::found() else {
@@ -143,6 +173,8 @@ fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     assert!(stands_alone(&page) < 250_000, "kept small");
     browser.fits(&page, 2);
     browser.fits(&folder.path().join("index.html"), 1);
+    let table = std::fs::read_to_string(folder.path().join("cells.csv")).unwrap();
+    the_map_in_space_holds_the_table(&browser, &folder.path().join("map3d.html"), &table);
 
     // In the middle of the first map, against the table.
     let script = "addEventListener('load', () => { const map = document.querySelector('[data-scale]'); \
@@ -163,7 +195,6 @@ fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
         .split(", ")
         .map(|place| place.split(' ').next().unwrap().parse().unwrap())
         .collect();
-    let table = std::fs::read_to_string(folder.path().join("cells.csv")).unwrap();
     let nearest = table
         .lines()
         .skip(1)

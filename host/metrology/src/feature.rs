@@ -83,4 +83,28 @@ impl<'a> Features<'a> {
         self.gear()
             .map_or(radius_mm, |gear| gear.profile_mm(radius_mm))
     }
+
+    /// Point of the nominal surface at lengths along and up, mm: the involute, or the reference plane of a patch. None for an
+    /// unknown patch and inside a gear's base circle.
+    pub fn point_mm(
+        self,
+        number: u32,
+        flank: Flank,
+        [along_mm, up_mm]: [f64; 2],
+    ) -> Option<[f64; 3]> {
+        match self {
+            Self::Gear(gear) => gear.flank_point(number, flank, gear.radius_mm(along_mm), up_mm),
+            Self::Patches(patches) => Some(patches.get(number)?.point_mm([along_mm, up_mm])),
+        }
+    }
+
+    /// Unit normal of the nominal surface there, out of the material.
+    pub fn outward(self, number: u32, flank: Flank, at_mm: [f64; 2]) -> Option<[f64; 3]> {
+        match self {
+            Self::Gear(gear) => {
+                Some(gear.flank_normal(flank, self.point_mm(number, flank, at_mm)?))
+            }
+            Self::Patches(patches) => Some(patches.get(number)?.axes[2]),
+        }
+    }
 }

@@ -50,14 +50,7 @@ struct Map<'a> {
 /// # Errors
 /// Errors of the template engine; none occur when formatting to memory.
 pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
-    let limits = inspection.features.iter().map(|f| f.limit_um);
-    let limit_um = limits.fold(0.0, f64::max);
-    // Full scale is twice the stop limit, so that a violated limit is dark but not at the end of the scale.
-    let full_um = if limit_um > 0.0 {
-        2.0 * limit_um
-    } else {
-        100.0
-    };
+    let full_um = full_scale_um(inspection);
     let pictures = &inspection.pictures;
     let maps = pictures.maps.iter();
     let limits_um = inspection.features.first().map(|f| [f.warn_um, f.limit_um]);
@@ -95,6 +88,15 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         max_abs_um: full_um,
     };
     page.render()
+}
+
+/// Half of the colour scale's range: twice the stop limit, so that a violated limit is dark but not at the end of the scale.
+pub(super) fn full_scale_um(inspection: &Inspection) -> f64 {
+    let limits = inspection.features.iter().map(|f| f.limit_um);
+    match limits.fold(0.0, f64::max) {
+        limit_um if limit_um > 0.0 => 2.0 * limit_um,
+        _ => 100.0,
+    }
 }
 
 /// The cells of a map, row by row, as a picture; cells that were not measured are hatched.

@@ -28,16 +28,13 @@ pub fn sequential(share: f64) -> [u8; 3] {
     std::array::from_fn(|i| (NONE[i] + (FULL[i] - NONE[i]) * share).round() as u8)
 }
 
+/// Colours of a cell without a measured point.
+pub const UNMEASURED: [[u8; 3]; 2] = [[120, 124, 130], [186, 190, 195]];
+
 /// Colour of a cell without a measured point: hatched, to differ from all colours of the scale.
 #[must_use]
 pub fn unmeasured(column: usize, row: usize) -> [u8; 3] {
-    const DARK: [u8; 3] = [120, 124, 130];
-    const LIGHT: [u8; 3] = [186, 190, 195];
-    if (column + row).is_multiple_of(3) {
-        DARK
-    } else {
-        LIGHT
-    }
+    UNMEASURED[usize::from(!(column + row).is_multiple_of(3))]
 }
 
 /// A coloured picture as a `data:` address for an `<img>`, with a palette if its colours fit into one.

@@ -3,6 +3,7 @@
 //! ```text
 //!  index.html                        every page, the newest first
 //!  report.html                       the newest page
+//!  map3d.html                        its maps in space
 //!  reports/DATE-NAME-VERDICT.html    every page, as long as it is kept
 //!  inspection.json, flanks.csv, ...  the newest result's figures
 //! ```
@@ -16,7 +17,7 @@ use flankscope_metrology::io::ply::Column;
 use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::verdict::Word;
 
-use super::tables;
+use super::{map3d_source, tables};
 use flankscope_article::Article;
 use flankscope_foundation::files::{make_folder_within, stream_whole, write_whole};
 use flankscope_record::document::Inspection;
@@ -25,6 +26,8 @@ use flankscope_record::sink::{ResultSink, SinkError, document_text};
 
 /// Name of the newest page.
 const PAGE: &str = "report.html";
+/// The newest maps in space.
+const MAP3D: &str = "map3d.html";
 /// The page of the article's figures.
 const ARTICLE: &str = "article.html";
 /// Number of newest pages that the index lists.
@@ -44,6 +47,7 @@ struct Index {
     listed: Vec<Entry>,
     beyond: usize,
     has_history: bool,
+    has_map: bool,
 }
 
 /// A page, by the parts of its file name.
@@ -119,6 +123,7 @@ impl ReportFolder {
     /// Files that a check writes.
     pub const OF_CHECK: &'static [&'static str] = &[
         PAGE,
+        MAP3D,
         "index.html",
         "inspection.json",
         "flanks.csv",
@@ -127,6 +132,7 @@ impl ReportFolder {
     /// Files that a scan writes.
     pub const OF_SCAN: &'static [&'static str] = &[
         PAGE,
+        MAP3D,
         "index.html",
         "scan.json",
         "map.ply",
@@ -137,7 +143,7 @@ impl ReportFolder {
     /// Files of the article's figures.
     pub const OF_ARTICLE: &'static [&'static str] = &[ARTICLE, "article.json", "first-view.ply"];
     /// Files that a watch writes for every check.
-    pub const OF_WATCH: &'static [&'static str] = &[PAGE, "index.html"];
+    pub const OF_WATCH: &'static [&'static str] = &[PAGE, MAP3D, "index.html"];
 
     /// Writes into this folder, which must exist.
     #[must_use]
@@ -226,6 +232,7 @@ impl ReportFolder {
             listed,
             beyond,
             has_history,
+            has_map: self.0.join(MAP3D).is_file(),
         };
         self.write("index.html", &index.render().map_err(no_page)?)
     }
@@ -234,6 +241,10 @@ impl ReportFolder {
         let what = check
             .id
             .map_or_else(|| "check".into(), |id| format!("check-{id}"));
+        self.write(
+            MAP3D,
+            &map3d_source::from_check(check).page().map_err(no_page)?,
+        )?;
         self.put_page(
             &super::html(check).map_err(no_page)?,
             &check.date,
@@ -271,6 +282,10 @@ impl ResultSink<Scan> for ReportFolder {
             None => self.remove("gear.csv")?,
         }
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
+        self.write(
+            MAP3D,
+            &map3d_source::from_scan(scan).page().map_err(no_page)?,
+        )?;
         self.put_page(
             &super::scan_html(scan).map_err(no_page)?,
             &scan.date,

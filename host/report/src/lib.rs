@@ -8,6 +8,8 @@ mod colour;
 mod comparison;
 mod folder;
 mod history;
+mod map3d;
+mod map3d_source;
 mod plot;
 mod ring;
 mod scan;

@@ -19,7 +19,7 @@ const STEPS: usize = 5;
 const NUMBERED: usize = 6;
 
 /// Points of a flank from tip to root: mm from the axis, and rad from the tooth's centre.
-fn profile(gear: &GearData, flank: Flank) -> Vec<[f64; 2]> {
+pub(super) fn profile(gear: &GearData, flank: Flank) -> Vec<[f64; 2]> {
     let (tip, root) = (gear.tip_radius_mm, gear.root_radius_mm);
     (0..=STEPS)
         .map(|i| tip + (root - tip) * i as f64 / STEPS as f64)

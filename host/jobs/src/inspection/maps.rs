@@ -41,7 +41,27 @@ pub(super) fn draw(
         *sum = (sum.0 + um, sum.1 + 1);
         deviations_um.push(um);
     }
+    // Middles of the cells from the map's upper left corner, as lengths along and up.
+    let laid_out = (0..columns * rows).map(|cell| {
+        let [across, down] = [cell % columns, cell / columns].map(|at| at as f64 + 0.5);
+        [
+            from + across / columns as f64 * size_mm[0],
+            high - down / rows as f64 * size_mm[1],
+        ]
+    });
+    let laid_out: Vec<[f64; 2]> = laid_out.collect();
     let maps = sides.iter().zip(sums).map(|(flank, sums)| FlankMap {
+        middles_mm: laid_out
+            .iter()
+            .map(|&at| {
+                features
+                    .point_mm(tooth, *flank, at)
+                    .unwrap_or([f64::NAN; 3])
+            })
+            .collect(),
+        outward: features
+            .outward(tooth, *flank, [0.5 * (from + to), 0.5 * (low + high)])
+            .unwrap_or([0.0; 3]),
         id: FeatureId {
             tooth,
             flank: *flank,

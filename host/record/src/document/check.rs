@@ -434,4 +434,8 @@ pub struct FlankMap {
     pub size_mm: [f64; 2],
     /// Mean deviation, µm, row by row from the top; NaN without points.
     pub deviation_um: Vec<f64>,
+    /// Middles of the cells on the nominal surface, in tool coordinates, mm, in the same order; NaN where a gear has no involute.
+    pub middles_mm: Vec<[f64; 3]>,
+    /// Unit normal at the map's middle, out of the material.
+    pub outward: [f64; 3],
 }
