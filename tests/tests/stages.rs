@@ -181,7 +181,7 @@ fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
 fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    // The views of the second check are numbered on, and so does not answer for that of the third.
+    // Views are numbered on from check to check. The third question is answered for another view.
     let noted = folder.join("asked");
     let note = format!(
         "echo \"$view\" >> {}\n[ $view = 3 ] && view=9",
@@ -191,11 +191,11 @@ fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
     fs::write(&station, arm(folder, &note, 20.0)).unwrap();
     let mut command = flankscope();
     command.args(["watch", "--quiet", "--json", "-", "--speed", "10"]);
-    command.args(["--every", "3", "--cycles", "13", "--teeth", "40"]);
+    command.args(["--every", "3", "--cycles", "19", "--teeth", "40"]);
     command.args(["--wear", "40:left:80", "--link", "sim", "--station"]);
     let watched = run(command.arg(&station).stdin(std::process::Stdio::null()));
     let checks = watched.json["checks"].as_array().unwrap();
-    assert!(checks.len() >= 4, "{} {}", checks.len(), watched.stderr);
+    assert!(checks.len() >= 3, "{} {}", checks.len(), watched.stderr);
     for (number, check) in checks.iter().enumerate() {
         let inspection = &check["inspection"];
         let said = inspection["features"].to_string();
@@ -209,7 +209,10 @@ fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
     }
     let asked = fs::read_to_string(&noted).unwrap();
     let asked: Vec<usize> = asked.lines().map(|line| line.parse().unwrap()).collect();
-    assert_eq!(asked, (1..=checks.len()).collect::<Vec<_>>());
+    assert!(
+        asked.starts_with(&(1..=checks.len()).collect::<Vec<_>>()),
+        "{asked:?}"
+    );
 }
 
 /// What measures by the stages says so, instead of never asking for the poses; and what an arm may not do says why.
