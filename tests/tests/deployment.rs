@@ -57,6 +57,36 @@ fn the_service_runs_commands_that_there_are() {
     }
 }
 
+/// The name that docs/hardware.md gives to the controller's port is the one that the installed rule makes, for the board that it names.
+#[test]
+fn the_documented_port_is_the_one_that_the_rule_names() {
+    let rules = deployed("60-flankscope.rules");
+    let rule = rules.replace("\\\n", " ");
+    let rule = rule
+        .lines()
+        .find(|line| line.starts_with("SUBSYSTEM==\"tty\""));
+    let rule = rule.expect("a rule for the board's serial port");
+    let name = rule.split("SYMLINK+=\"").nth(1).unwrap();
+    let name = name.split('"').next().unwrap();
+    let (stem, serial) = name
+        .split_once("$attr{serial}")
+        .expect("by its serial number");
+    assert_eq!(serial, "");
+    // The ST-LINK of a NUCLEO-H743ZI2.
+    assert!(rule.contains("ATTRS{idVendor}==\"0483\"") && rule.contains("374e"));
+    let page = std::fs::read_to_string(workspace().join("docs/hardware.md")).unwrap();
+    let link = page.lines().find(|line| line.starts_with("link = "));
+    let said = link.and_then(|line| line.split('"').nth(1)).unwrap();
+    let number = said
+        .strip_prefix("/dev/")
+        .and_then(|name| name.strip_prefix(stem));
+    assert!(
+        number.is_some_and(|number| !number.is_empty()),
+        "{said}: {name}"
+    );
+    assert!(page.contains("tools/deploy/60-flankscope.rules"));
+}
+
 /// The buffers are as large as the camera's diagnosis asks for, for the largest frame.
 #[test]
 fn socket_buffers_hold_two_frames() {

@@ -151,6 +151,33 @@ fn the_10_mm_head_calibrates_inspects_and_scans() {
     );
 }
 
+/// What docs/heads.md says of the 20 mm head's depth: the article's 4 mm are unambiguous and show the same of this die, 7 mm are refused.
+#[test]
+fn the_20_mm_head_takes_the_article_s_depth() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = folder.path().join("die");
+    written("demo-tool", &tool, "20mm");
+    let head = tool.join("head.toml");
+    let drawn = std::fs::read_to_string(&head).unwrap();
+    let with_depth = |near_mm: f64, far_mm: f64| {
+        let deeper = drawn.replace("near_mm = 20.3", &format!("near_mm = {near_mm:?}"));
+        let deeper = deeper.replace("far_mm = 23.7", &format!("far_mm = {far_mm:?}"));
+        std::fs::write(&head, &deeper).unwrap();
+        let die = tool.to_str().unwrap();
+        inspect(&["--link", "sim", "--tool", die, "--teeth", "40"])
+    };
+    let points = [(20.3, 23.7), (20.0, 24.0)].map(|(near_mm, far_mm)| {
+        let checked = with_depth(near_mm, far_mm);
+        assert_eq!(checked.code, 0, "{}", checked.stderr);
+        checked.json["registration"][0]["points"].as_u64().unwrap()
+    });
+    assert!(points[0] > 80_000 && points[0] == points[1], "{points:?}");
+    let refused = with_depth(18.5, 25.5);
+    assert_eq!(refused.code, 3);
+    let words = "passes 0.98 periods, at most 0.95 are unambiguous";
+    assert!(refused.stderr.contains(words), "{}", refused.stderr);
+}
+
 /// A head with a liquid lens is calibrated at three settings and computed between them; that head passes the self-test at its setting,
 /// and finds the wear. On the same bench, whose optics follow what the controller was told, a head calibrated at another setting finds it,
 /// too.
@@ -221,6 +248,21 @@ fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
         let checked = inspect(&[&on[..], &["--wear", "40:left:80"]].concat());
         assert_eq!(checked.not_go(), ["40:left:no-go"], "{}", checked.stderr);
     }
+    // Driven to another setting it is no calibrated head, even if somebody vouches for the file: a check never focuses.
+    let elsewhere = folder.path().join("elsewhere.toml");
+    let text = std::fs::read_to_string(at("head0.toml")).unwrap();
+    std::fs::write(&elsewhere, text.replace("counts = 516\n", "counts = 530\n")).unwrap();
+    let on = [
+        "--link",
+        "sim",
+        "--tool",
+        &cold,
+        "--head",
+        &at("elsewhere.toml"),
+    ];
+    let refused = inspect(&on);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(refused.stderr.contains("lens.counts"), "{}", refused.stderr);
     // A file that somebody touched is believed no more, and takes no part.
     let touched = folder.path().join("head0.toml");
     let text = std::fs::read_to_string(&touched).unwrap();

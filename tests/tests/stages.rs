@@ -176,6 +176,103 @@ fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
     }
 }
 
+/// A watch asks the same program for every view of every check: each is judged by its pose, and a check that got none is none.
+#[test]
+fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // Views are numbered on from check to check. The third question is answered for another view.
+    let noted = folder.join("asked");
+    let note = format!(
+        "echo \"$view\" >> {}\n[ $view = 3 ] && view=9",
+        noted.display()
+    );
+    let station = folder.join("station.toml");
+    fs::write(&station, arm(folder, &note, 20.0)).unwrap();
+    let mut command = flankscope();
+    command.args(["watch", "--quiet", "--json", "-", "--speed", "10"]);
+    command.args(["--every", "3", "--cycles", "19", "--teeth", "40"]);
+    command.args(["--wear", "40:left:80", "--link", "sim", "--station"]);
+    let watched = run(command.arg(&station).stdin(std::process::Stdio::null()));
+    let checks = watched.json["checks"].as_array().unwrap();
+    assert!(checks.len() >= 3, "{} {}", checks.len(), watched.stderr);
+    for (number, check) in checks.iter().enumerate() {
+        let inspection = &check["inspection"];
+        let said = inspection["features"].to_string();
+        if number == 2 {
+            assert_eq!(inspection["verdict"], "indeterminate", "{said}");
+            let words = "answered for view 9 when it was asked for view 3";
+            assert!(said.contains(words), "{said}");
+        } else {
+            assert_eq!(inspection["verdict"], "no-go", "{number}: {said}");
+        }
+    }
+    let asked = fs::read_to_string(&noted).unwrap();
+    let asked: Vec<usize> = asked.lines().map(|line| line.parse().unwrap()).collect();
+    assert!(
+        asked.starts_with(&(1..=checks.len()).collect::<Vec<_>>()),
+        "{asked:?}"
+    );
+}
+
+/// What measures by the stages says so, instead of never asking for the poses; and what an arm may not do says why.
+#[test]
+fn commands_that_do_not_go_by_poses_refuse_them_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let station = folder.join("station.toml");
+    let program = arm(folder, "touch started", 20.0);
+    let carried = format!("[stages]\nmoves = \"outside\"\n{program}");
+    let out = folder.join("head.toml");
+    let calibrate = ["calibrate", "-o", out.to_str().unwrap()];
+    let watch = ["watch", "--cycles", "1"];
+    for (text, args, words) in [
+        (
+            &program,
+            &["scan"][..],
+            "a scan lays its views together by where",
+        ),
+        (
+            &program,
+            &calibrate,
+            "a calibration finds the head's place on its stages by where",
+        ),
+        (&carried, &["scan"], "a scan turns the die on its table"),
+        (
+            &carried,
+            &calibrate,
+            "the controller claims the press for them alone",
+        ),
+        (
+            &carried,
+            &watch,
+            "the controller claims the press for them alone",
+        ),
+        (
+            &carried,
+            &["view", "--captures", "1"],
+            "the controller claims the press for them alone",
+        ),
+    ] {
+        fs::write(&station, text).unwrap();
+        let mut command = flankscope();
+        command.args(args).args(["--link", "sim", "--station"]);
+        let refused = run(command.arg(&station).current_dir(folder));
+        assert_eq!(refused.code, 3, "{args:?}: {}", refused.stderr);
+        assert!(
+            refused.stderr.contains(words),
+            "{args:?}: {}",
+            refused.stderr
+        );
+        assert!(
+            refused.stderr.contains("stages."),
+            "{args:?}: {}",
+            refused.stderr
+        );
+    }
+    assert!(!folder.join("started").exists(), "nothing was asked");
+}
+
 /// The same arm where it carries the head: before it answers it puts the head where it was asked to, or where `astray` puts `$pose`.
 fn carrying(folder: &std::path::Path, astray: &str, spoil: &str, limit_s: f64) -> String {
     let held = folder.join("held.json");

@@ -1,4 +1,4 @@
-//! Settings of the article's method: an option of `scan` and `article` that names their file.
+//! Settings of the article's method: an option of `scan`, `article` and `register` that names their file.
 
 use std::path::PathBuf;
 

@@ -10,18 +10,20 @@ use flankscope_foundation::date::Date;
 use flankscope_frames::SharedRoot;
 use flankscope_jobs::calibration::{
     Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
-    save_self_test,
+    board_artwork, save_self_test, target_artwork,
 };
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Captures, Target};
 use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
 use flankscope_record::seal::{Kind, toml_document};
+use flankscope_report::artwork_svg;
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::calibrate_autofocus;
 use crate::calibrate_board::{self, Order};
 use crate::calibrate_focus::{self, FocusArgs};
+use crate::geometry::{tell, write_file};
 use crate::help;
 use crate::instrument::{Instrument, fits_bench, scratch, seals};
 use crate::interrupt;
@@ -46,7 +48,8 @@ use crate::site::{Made, Place, Site};
         "{}\n\n\
         Exit code: 0 done or fit, 2 not fit, 3 could not run or no calibration",
         help::CALIBRATE_EXAMPLE
-    )
+    ),
+    group(clap::ArgGroup::new("of_board").args(["images", "drawing"]))
 )]
 pub struct Args {
     #[arg(long, value_name = "DIR", help = help::TARGET)]
@@ -58,7 +61,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "BOARD.toml",
-        requires = "images",
+        requires = "of_board",
         conflicts_with = "target"
     )]
     board: Option<PathBuf>,
@@ -71,17 +74,28 @@ pub struct Args {
         long,
         short,
         value_name = "HEAD.toml",
-        required_unless_present_any = ["check", "autofocus"]
+        required_unless_present_any = ["check", "autofocus", "drawing"]
     )]
     output: Option<PathBuf>,
     /// Only test this calibrated head on plane and spheres; the result is written beside it
     #[arg(long, value_name = "HEAD.toml", conflicts_with = "output")]
     check: Option<PathBuf>,
+    /// Only draw what is printed on the plates of --target, or the board of --board, for whoever makes them: at scale, with dimensions,
+    /// tolerances and a ruler of 100 mm
+    #[arg(
+        long,
+        value_name = "FILE.svg",
+        conflicts_with_all = ["output", "check", "images", "autofocus", "focus", "focus_series"]
+    )]
+    drawing: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
     bench: BenchArgs,
 }
+
+/// Why a calibration asks for no poses.
+const HAND_EYE: &str = "a calibration finds the head's place on its stages";
 
 #[derive(Serialize)]
 struct CheckDocument<'a> {
@@ -124,6 +138,9 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
+    if let Some(drawing) = &args.drawing {
+        return draw(args, drawing);
+    }
     if let (Some(images), Some(output)) = (&args.images, &args.output)
         && (args.board.is_some() || args.target.is_none() && !images.join(Captures::FILE).is_file())
     {
@@ -182,7 +199,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 site: args
                     .place
                     .site(&[of_target])?
-                    .with_own_stages("a calibration")?,
+                    .with_own_stages("a calibration")?
+                    .by_its_stages(HAND_EYE)?,
                 folder: &folder,
                 target,
                 output,
@@ -194,6 +212,51 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         (None, None) => bail!("--output or --check is needed"),
     }
+}
+
+#[derive(Serialize)]
+struct DrawingDocument<'a> {
+    drawing: &'a Path,
+    size_mm: [f64; 2],
+    marks: usize,
+    pitch_mm: f64,
+    tolerance_mm: Option<f64>,
+}
+
+/// Draws what is printed on plates or board.
+fn draw(args: &Args, drawing: &Path) -> anyhow::Result<Outcome> {
+    args.common.try_json()?;
+    let artwork = match (&args.board, &args.target) {
+        (Some(board), _) => board_artwork(board)?,
+        (None, Some(folder)) => {
+            let target = Target::load(&folder.join("target.toml")).context("target")?;
+            let head = folder.join("head.toml");
+            let head = HeadModel::load(&head).context("head, for which the plates are")?;
+            target_artwork(&target, &head)?
+        }
+        (None, None) => bail!(
+            "--drawing draws the plates of --target DIR or the board of --board BOARD.toml: name one"
+        ),
+    };
+    let svg = artwork_svg(&artwork);
+    write_file(drawing, |out| out.write_all(svg.as_bytes()))?;
+    let [across, up] = artwork.size_mm;
+    let marks = artwork.marks.len();
+    args.common.write_json(&DrawingDocument {
+        drawing,
+        size_mm: artwork.size_mm,
+        marks,
+        pitch_mm: artwork.pitch_mm,
+        tolerance_mm: artwork.tolerance_mm,
+    })?;
+    tell(&args.common, || {
+        format!(
+            "{}: {marks} marks on {across} x {up} mm -> {}",
+            artwork.title,
+            drawing.display()
+        )
+    });
+    Ok(Outcome::Done)
 }
 
 /// Finds the setting at which the camera is sharp on the target's blank plate, and writes the head for it if requested.
@@ -217,7 +280,9 @@ fn autofocus(
     };
     has_one_projector(&head, "--autofocus")?;
     let site = args.place.site(&[of_target])?;
-    let site = site.with_own_stages("a calibration")?;
+    let site = site
+        .with_own_stages("a calibration")?
+        .by_its_stages(HAND_EYE)?;
     begin(args, &site, target, &head)?;
     let settings = &site.settings;
     let mut search = open(args, &site, folder, |root| {
@@ -288,7 +353,9 @@ fn check(
         made != Some(true),
     );
     let site = args.place.site(&[of_target, of_head])?;
-    let site = site.with_own_stages("a calibration")?;
+    let site = site
+        .with_own_stages("a calibration")?
+        .by_its_stages(HAND_EYE)?;
     let setting = &site.setting;
     site.takes_head(&head)?;
     begin(args, &site, &target, &head)?;

@@ -96,6 +96,12 @@ pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
     cloud::load(path, unit.into()).with_context(|| format!("cannot use cloud {}", path.display()))
 }
 
+/// Standard uncertainty of every point of the cloud in this file, mm, where it states them.
+pub fn sigma_of(cloud: &Cloud, path: &Path) -> anyhow::Result<Option<Vec<f32>>> {
+    let sigma_mm = cloud.sigma_mm();
+    sigma_mm.with_context(|| format!("cannot use cloud {}", path.display()))
+}
+
 /// Where a registration begins.
 #[derive(clap::Args)]
 pub struct StartPose {
@@ -108,6 +114,11 @@ pub struct StartPose {
 }
 
 impl StartPose {
+    /// Whether a file gives it.
+    pub fn is_given(&self) -> bool {
+        self.init.is_some() || self.pairs.is_some()
+    }
+
     /// The pose; identity where none was given.
     pub fn pose(&self) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
         if let Some(path) = &self.init {

@@ -11,13 +11,14 @@ use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::registration::{
-    ArticleOptions, Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM,
-    detect_teeth, register, register_by_article,
+    Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM, detect_teeth, register,
+    register_by_article,
 };
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
+use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::{
     Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
 };
@@ -26,10 +27,16 @@ use crate::output::{Common, Outcome};
 /// Tolerance of the CAD's periodicity for poses one pitch apart to count as alike, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
+/// Seed of the article's reference points.
+const SEED: u64 = 0;
+
 /// Register a cloud to a CAD mesh or to another cloud.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\nExit codes: 0 registered, 2 indeterminate, 3 could not run.",
+    after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\n\
+    With --method article, --article-settings gives the window of reference points, their number, the share of pairs and the end of the fit by its\n\
+    table [registration], and the start pose by its pairs; what it says of views (mask_dn, share, denoise, voxel_mm) does not concern one cloud.\n\n\
+    Exit codes: 0 registered, 2 indeterminate, 3 could not run.",
     group(clap::ArgGroup::new("on").args(["path", "reference"]).required(true))
 )]
 pub struct Args {
@@ -60,6 +67,8 @@ pub struct Args {
     /// Fit to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
+    #[command(flatten)]
+    article: ArticleSettingsFile,
     /// Write the cloud in CAD coordinates, as binary PLY, text (name.xyz) or arrays for NumPy (name.npz); only if it was registered.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -135,6 +144,10 @@ impl Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.output.as_deref().map(Format::of_cloud).transpose()?;
+    anyhow::ensure!(
+        args.article.article_settings.is_none() || args.method == Method::Article,
+        "--article-settings is for the article's method: add --method article"
+    );
     let start = Instant::now();
     let Laid {
         cloud,
@@ -190,7 +203,14 @@ impl Args {
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, .. } = cad.load(&self.common)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
-        let initial = self.start.pose()?;
+        let article = self.article.load(SEED)?;
+        let initial = match article.first_pose {
+            Some(_) if self.start.is_given() => bail!(
+                "the start pose is given twice: pairs in the file of --article-settings, and --init or --pairs; leave one out"
+            ),
+            Some(picked) => picked,
+            None => self.start.pose()?,
+        };
         let loaded = Instant::now();
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
         // By default teeth point inwards; a body of revolution inside the CAD shows that they point outwards.
@@ -204,8 +224,7 @@ impl Args {
         let found = match self.method {
             Method::Surface => register(&surface, &cloud.points, None, &options),
             Method::Article => {
-                let options = ArticleOptions::default();
-                register_by_article(&mesh, &cloud.points, &initial, &options).0
+                register_by_article(&mesh, &cloud.points, &initial, &article.registration).0
             }
         };
         Ok(Laid {

@@ -184,6 +184,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "stages.moves is not \"die\": a scan turns the die on its table, where it can be told from the slide's lean; it needs a station \
          with moves = \"die\""
     );
+    let site = match is_live {
+        true => site.by_its_stages("a scan lays its views together")?,
+        false => site,
+    };
     args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,

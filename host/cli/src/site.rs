@@ -125,6 +125,16 @@ impl Site {
         Ok(self)
     }
 
+    /// Refuses a station whose poses come from elsewhere than its stages, because `what` measures by the stages.
+    pub fn by_its_stages(self, what: &str) -> anyhow::Result<Self> {
+        anyhow::ensure!(
+            !self.settings.stages.poses.is_some(),
+            "[stages.poses]: {what} by where the station's own stages stand, and would never ask for these poses; if the stages are as \
+             good as the station file says, give it a station file without [stages.poses]"
+        );
+        Ok(self)
+    }
+
     /// The link to the controller.
     pub fn link(&self) -> &Link {
         &self.setting.link

@@ -5,19 +5,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use flankscope_jobs::inspection::{CloudVerdict, ForeignCloud, judge_cloud};
-use flankscope_metrology::io::cloud::Cloud;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::FlankInView;
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, StartPose, load_cloud};
+use crate::geometry::{CloudUnit, StartPose, load_cloud, sigma_of};
 use crate::inspect::{in_words, print_flanks};
 use crate::output::{Common, Outcome};
 use crate::terminal::Terminal;
-
-/// Properties in which `decode` and `scan --cloud` write the standard uncertainty of a point, mm.
-const SIGMAS: [&str; 2] = ["sigma_z", "sigma"];
 
 /// Judge the wear of a tool by a cloud of any scanner.
 #[derive(clap::Args)]
@@ -71,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.try_json()?;
     let tool = Arc::new(Tool::load(&args.tool)?);
     let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
-    let sigma_mm = sigma_mm(&cloud, &args.cloud)?;
+    let sigma_mm = sigma_of(&cloud, &args.cloud)?;
     let foreign = ForeignCloud {
         points: &cloud.points,
         sigma_mm: sigma_mm.as_deref(),
@@ -90,30 +86,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         print_table(args, &judged)?;
     }
     Ok(Outcome::Verdict(judged.verdict))
-}
-
-/// Standard uncertainties of the points, where the file states them.
-fn sigma_mm(cloud: &Cloud, path: &std::path::Path) -> anyhow::Result<Option<Vec<f32>>> {
-    let Some(extra) = cloud
-        .extras
-        .iter()
-        .find(|extra| SIGMAS.contains(&extra.name.as_str()))
-    else {
-        return Ok(None);
-    };
-    let sigma_mm: Vec<f32> = extra.values().map(|mm| mm as f32).collect();
-    if let Some(at) = sigma_mm
-        .iter()
-        .position(|mm| !(mm.is_finite() && *mm > 0.0))
-    {
-        anyhow::bail!(
-            "{} of point {at} in {} is {}; an uncertainty is above 0 mm",
-            extra.name,
-            path.display(),
-            sigma_mm[at]
-        );
-    }
-    Ok(Some(sigma_mm))
 }
 
 fn print_table(args: &Args, judged: &CloudVerdict) -> anyhow::Result<()> {

@@ -272,6 +272,57 @@ fn run_a_moved_patch_is_laid_back(cad: &Path) {
         .sum();
     let across = (sum / truth.len() as f64).sqrt();
     assert!(across < 0.03, "{across} mm");
+
+    // Its settings are a file's: one step of at most one, in place of many; a window that holds none of the CAD's points.
+    let settle = |settings: &str, more: &[&str]| {
+        std::fs::write(folder.path().join("settings.toml"), settings).unwrap();
+        let base = ["register", "--cad", cad, "--cloud", "view.xyz"];
+        let by = ["--article-settings", "settings.toml", "--json", "-"];
+        flankscope(folder.path(), &[&base, &by[..], more].concat())
+    };
+    let article = ["--method", "article"];
+    let many = json(&output)["iterations"].as_u64().unwrap();
+    assert!(many > 1, "{many} steps");
+    let one = settle("[registration]\nmost_iterations = 1\n", &article);
+    assert_eq!(json(&one)["iterations"], 1, "{one:?}");
+    let elsewhere = "[registration.region]\nradial_threshold_mm = 5.0\n";
+    let elsewhere = settle(elsewhere, &article);
+    assert_eq!(elsewhere.status.code(), Some(2));
+    assert_eq!(json(&elsewhere)["reason_code"], "disjoint");
+    // The article's own file, as the program writes it.
+    let written = ["article", "--write-settings", "settings.toml"];
+    let written = flankscope(folder.path(), &written);
+    assert_eq!(written.status.code(), Some(0), "{written:?}");
+    let own = std::fs::read_to_string(folder.path().join("settings.toml")).unwrap();
+    let own = json(&settle(&own, &article));
+    assert_eq!(own["tool_from_cloud"], json(&output)["tool_from_cloud"]);
+    // Picked pairs may stand in the file, but not there and on the command line.
+    let by_pairs = settle("pairs = \"pairs.csv\"\n", &article);
+    assert_eq!(
+        by_pairs.status.code(),
+        Some(2),
+        "the pairs are those of far.xyz"
+    );
+    for (settings, more, words) in [
+        ("", &[][..], &["--article-settings", "--method article"][..]),
+        (
+            "",
+            &["--method", "surface"],
+            &["--article-settings", "--method article"],
+        ),
+        (
+            "[registration]\nsamples = 3\n",
+            &article,
+            &["settings.toml:2", "samples", "100 to 10000000 points"],
+        ),
+        (
+            "pairs = \"pairs.csv\"\n",
+            &["--method", "article", "--pairs", "pairs.csv"],
+            &["given twice", "--init or --pairs"],
+        ),
+    ] {
+        support::assert_refused(folder.path(), settings, &settle(settings, more), words);
+    }
 }
 
 #[test]

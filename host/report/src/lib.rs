@@ -1,6 +1,7 @@
 //! Reports of checks, scans, histories and the article's figures: each is one self-contained HTML file for screen, e-mail and print.
 
 mod article;
+mod artwork;
 mod bars;
 mod chart;
 mod check;
@@ -22,6 +23,7 @@ mod tables;
 mod trend_chart;
 mod words;
 
+pub use artwork::artwork_svg;
 pub use check::html;
 pub use comparison::comparison_html;
 pub use folder::{Pages, ReportFolder};

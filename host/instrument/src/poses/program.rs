@@ -45,6 +45,10 @@ pub struct PoseProgram {
     stdin: Option<ChildStdin>,
     lines: mpsc::UnboundedReceiver<String>,
     limit: Duration,
+    /// Numbers that questions of earlier checks had; those of this check go on from there.
+    asked_before: usize,
+    /// Largest number of a question so far.
+    asked: usize,
 }
 
 impl PoseProgram {
@@ -90,13 +94,21 @@ impl PoseProgram {
             stdin,
             lines,
             limit,
+            asked_before: 0,
+            asked: 0,
         };
         // If the reader thread cannot be started, dropping the value ends the program.
         reading.map_err(failed)?;
         Ok(program)
     }
 
-    /// Requests one view and waits for its pose up to the time limit; meanwhile events of the controller are handled.
+    /// Begins a check: its views are numbered on from those of earlier checks, so that no answer of then is taken for one of now.
+    pub fn begin_check(&mut self) {
+        self.asked_before = self.asked;
+    }
+
+    /// Requests one view and waits for its pose up to the time limit; meanwhile events of the controller are handled. A late answer
+    /// to a question of an earlier check is passed over.
     ///
     /// # Errors
     /// There is no pose, or none that can be used.
@@ -105,7 +117,12 @@ impl PoseProgram {
         wanted: &Wanted,
         interrupt: &Interrupt,
     ) -> Result<StatedPose, PoseError> {
-        let view = wanted.view;
+        let view = self.asked_before + wanted.view;
+        self.asked = self.asked.max(view);
+        let wanted = &Wanted {
+            view,
+            ..wanted.clone()
+        };
         let request = Request {
             view,
             tooth: wanted.tooth,
@@ -123,6 +140,12 @@ impl PoseProgram {
                 return Err(PoseError::Interrupted { view });
             }
             match timeout(left.min(LOOK), self.lines.recv()).await {
+                Ok(Some(line)) if self.is_of_earlier_check(&line) => {
+                    tracing::warn!(
+                        view,
+                        "a late answer of the pose program to a question of an earlier check"
+                    );
+                }
                 Ok(Some(line)) => break line,
                 Ok(None) => return Err(PoseError::Ended { view }),
                 Err(_) if left.is_zero() => {
@@ -133,6 +156,11 @@ impl PoseProgram {
             }
         };
         understood(wanted, &line)
+    }
+
+    fn is_of_earlier_check(&self, line: &str) -> bool {
+        let answer: Option<Answer> = serde_json::from_str(line).ok();
+        answer.is_some_and(|answer| (1..=self.asked_before).contains(&answer.view))
     }
 }
 
@@ -287,5 +315,29 @@ mod tests {
             matches!(other, PoseError::OtherView { view: 2, got: 1 }),
             "{other}"
         );
+    }
+
+    /// The next check of a watch asks for its first view by another number, and passes over the late answer to the check before.
+    #[test]
+    fn a_late_answer_is_none_to_the_next_check() {
+        let answer = |view: usize, x: &str| {
+            let rows = ROWS.replace("0.1", x);
+            format!(
+                r#"echo '{{"view":{view},"tool_from_camera":{rows},"u_mm":0.02,"u_mrad":0.1}}'"#
+            )
+        };
+        let script = format!(
+            "read a; read b; {}; {}; read c",
+            answer(1, "0.1"),
+            answer(2, "0.2")
+        );
+        let command = ["sh", "-c", &script].map(String::from);
+        let mut program = PoseProgram::start(&command, Duration::from_millis(400)).unwrap();
+        program.begin_check();
+        let late = reach(&mut program, 1).unwrap_err();
+        assert!(matches!(late, PoseError::Late { view: 1, .. }), "{late}");
+        program.begin_check();
+        let stated = reach(&mut program, 1).unwrap();
+        assert_eq!(stated.tool_from_camera[0][3], 0.2);
     }
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use flankscope_foundation::date::Date;
 use flankscope_foundation::textfile::{self, TextFileError};
+use flankscope_profilometry::calibrate::Artwork;
 use flankscope_profilometry::calibrate::board::{
     self, Board, BoardAdjusted, BoardError, BoardFrames, BoardKind, BoardView,
 };
@@ -103,6 +104,22 @@ pub struct BoardFolder {
     /// Plans of the fringes that encode columns, and rows.
     plans: [Plan; 2],
     poses: Vec<PathBuf>,
+}
+
+/// What is to be printed for the board of this file; plans, poses and projector may be missing yet.
+///
+/// # Errors
+/// The file cannot be read, or says too little of the board, or what no board can be.
+pub fn board_artwork(path: &Path) -> Result<Artwork, BoardFolderError> {
+    let file: BoardFile = textfile::parse_toml(path, &textfile::read(path)?)?;
+    let mut lacks = Vec::new();
+    match board_of(&file, &mut lacks) {
+        Some(board) => Ok(board.artwork(file.pitch_sigma_mm)),
+        None => Err(BoardFolderError::Lacks {
+            folder: path.to_owned(),
+            lacks,
+        }),
+    }
 }
 
 impl BoardFolder {

@@ -12,9 +12,11 @@
 //! | `job` | from captures to the head |
 //! | `folder` | calibration from images of a target captured elsewhere |
 //! | `board` | calibration from images of an ordinary board captured elsewhere |
+//! | `artwork` | what is to be printed on a target's plates |
 //! | `autofocus` | captures of the blank plate, or of a tooth, at several settings of a driven lens |
 //! | `fitness` | regular test of a calibrated head with plane and sphere |
 
+mod artwork;
 mod autofocus;
 mod board;
 mod fitness;
@@ -23,9 +25,10 @@ mod job;
 mod survey;
 mod views;
 
+pub use artwork::target_artwork;
 pub(crate) use autofocus::lit_cells;
 pub use autofocus::{Autofocus, DieFocus, Focused};
-pub use board::{BoardFolder, BoardFolderError};
+pub use board::{BoardFolder, BoardFolderError, board_artwork};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;
 pub use job::{

@@ -228,6 +228,9 @@ impl Job<ViewOutcome> {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
         let stage_from_camera = hand_eye(&self.subject)?;
+        if let Some(program) = &mut self.poses {
+            program.begin_check();
+        }
         for view in &run.wanted.clone() {
             let wanted = self.plan.wanted(*view, stage_from_camera);
             self.plan.stated.remove(*view);

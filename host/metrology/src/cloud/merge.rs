@@ -41,6 +41,14 @@ pub enum MergeError {
         /// Points given.
         points: usize,
     },
+    /// The best point of a voxel needs an uncertainty of each.
+    #[error("{sigmas} standard uncertainties for {points} points; right would be one for each")]
+    SigmaCount {
+        /// Points given.
+        points: usize,
+        /// Uncertainties given.
+        sigmas: usize,
+    },
 }
 
 /// A point and its number in the cloud.
@@ -113,6 +121,49 @@ pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3
 /// # Errors
 /// As [`voxel_centroids`].
 pub fn voxel_groups(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<Vec<u32>>, MergeError> {
+    let numbered = by_voxel(points, voxel_mm)?;
+    let mut groups: Vec<Vec<u32>> = numbered
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|voxel| voxel.iter().map(|(_, index)| *index).collect())
+        .collect();
+    groups.par_sort_unstable_by_key(|group| group.first().copied());
+    Ok(groups)
+}
+
+/// The number of the point (finite, mm) with the least standard uncertainty in every cube of `voxel_mm`, of equal ones the first; the
+/// cubes are those of [`voxel_centroids`], in the same order. The same numbers on any number of threads.
+///
+/// # Errors
+/// As [`voxel_centroids`], and [`MergeError::SigmaCount`] unless there is one `sigma_mm` for each point.
+pub fn voxel_best(
+    points: &[[f64; 3]],
+    sigma_mm: &[f32],
+    voxel_mm: f64,
+) -> Result<Vec<u32>, MergeError> {
+    if sigma_mm.len() != points.len() {
+        return Err(MergeError::SigmaCount {
+            points: points.len(),
+            sigmas: sigma_mm.len(),
+        });
+    }
+    let numbered = by_voxel(points, voxel_mm)?;
+    let sigma_of = |index: u32| sigma_mm[index as usize];
+    let mut first_and_best: Vec<(u32, u32)> = numbered
+        .chunk_by(|a, b| a.0 == b.0)
+        .filter_map(|voxel| {
+            // Of equal uncertainties `min_by` takes the first, and a voxel's points are in order.
+            let by_sigma =
+                |a: &&(u64, u32), b: &&(u64, u32)| sigma_of(a.1).total_cmp(&sigma_of(b.1));
+            let best = voxel.iter().min_by(by_sigma)?;
+            Some((voxel.first()?.1, best.1))
+        })
+        .collect();
+    first_and_best.par_sort_unstable();
+    Ok(first_and_best.into_iter().map(|(_, best)| best).collect())
+}
+
+/// Every point's voxel and number, sorted by both.
+fn by_voxel(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<(u64, u32)>, MergeError> {
     let numbering = Numbering::from_points(points, voxel_mm)?;
     let mut numbered: Vec<(u64, u32)> = points
         .par_iter()
@@ -120,12 +171,7 @@ pub fn voxel_groups(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<Vec<u32>>,
         .map(|(point, index)| (numbering.number(point), index))
         .collect();
     numbered.par_sort_unstable();
-    let mut groups: Vec<Vec<u32>> = numbered
-        .chunk_by(|a, b| a.0 == b.0)
-        .map(|voxel| voxel.iter().map(|(_, index)| *index).collect())
-        .collect();
-    groups.par_sort_unstable_by_key(|group| group.first().copied());
-    Ok(groups)
+    Ok(numbered)
 }
 
 struct Numbering {
@@ -322,6 +368,37 @@ mod tests {
         }
     }
 
+    /// Few different values, so that many voxels have several points of the least.
+    fn uncertainties(count: u64) -> Vec<f32> {
+        (0..count)
+            .map(|i| 0.001 * (1.0 + (5.0 * uniform(9, i)).floor() as f32))
+            .collect()
+    }
+
+    #[test]
+    fn the_best_point_of_every_voxel_is_that_of_a_map_of_voxels() {
+        let points = cloud(150_000);
+        let sigma_mm = uncertainties(150_000);
+        let low: [f64; 3] =
+            [0, 1, 2].map(|k| points.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min));
+        for voxel_mm in [0.02, 0.3, 100.0] {
+            let mut place = HashMap::new();
+            let mut best: Vec<u32> = Vec::new();
+            for (p, index) in points.iter().zip(0u32..) {
+                let key = [0, 1, 2].map(|k| ((p[k] - low[k]) / voxel_mm).floor() as i64);
+                let at = *place.entry(key).or_insert_with(|| {
+                    best.push(index);
+                    best.len() - 1
+                });
+                if sigma_mm[index as usize] < sigma_mm[best[at] as usize] {
+                    best[at] = index;
+                }
+            }
+            let found = voxel_best(&points, &sigma_mm, voxel_mm);
+            assert_eq!(found, Ok(best), "{voxel_mm} mm");
+        }
+    }
+
     #[test]
     fn one_and_many_threads_give_the_same_bytes() {
         let points = cloud(200_000);
@@ -338,12 +415,27 @@ mod tests {
                 .collect::<Vec<_>>()
         };
         assert_eq!(run(1), run(5));
+        let sigma_mm = uncertainties(200_000);
+        let best = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| voxel_best(&points, &sigma_mm, 0.05))
+        };
+        assert_eq!(best(1), best(5));
     }
 
     #[test]
     fn what_cannot_be_merged_is_refused() {
         assert_eq!(voxel_centroids(&[], 0.1), Ok(Vec::new()));
         assert_eq!(voxel_groups(&[], 0.1), Ok(Vec::new()));
+        assert_eq!(voxel_best(&[], &[], 0.1), Ok(Vec::new()));
+        let lacking = MergeError::SigmaCount {
+            points: 1,
+            sigmas: 0,
+        };
+        assert_eq!(voxel_best(&[[0.0; 3]], &[], 0.1), Err(lacking));
         for voxel_mm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let refused = voxel_centroids(&[[0.0; 3]], voxel_mm);
             assert!(matches!(refused, Err(MergeError::VoxelSize { .. })));

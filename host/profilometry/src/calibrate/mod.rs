@@ -34,6 +34,7 @@
 //! | `board` | the same from an ordinary board: no certified pose, no blank plate |
 
 mod adjust;
+mod artwork;
 pub mod board;
 mod bundle;
 mod captures;
@@ -54,6 +55,7 @@ mod target;
 mod uncertainty;
 
 pub use adjust::{Adjusted, adjust};
+pub use artwork::{Artwork, PrintedMark};
 pub use captures::{CapturedView, Captures};
 pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;

@@ -215,7 +215,7 @@ impl CalibrationRecord {
         let farther_um = self.farther_sigma_um.unwrap_or(0.0);
         textfile::require(&[
             ((0.0..=1000.0).contains(&farther_um), "calibration.farther_sigma_um", &farther_um, "must be 0 to 1000 um"),
-            (self.blake3 == geometry_blake3(head), "calibration.blake3", &self.blake3, "is not the hash of this file's geometry: it was changed after the calibration; calibrate again, or remove [calibration]"),
+            (self.blake3 == geometry_blake3(head), "calibration.blake3", &self.blake3, "is not the hash of this file's geometry and lens.counts: they were changed after the calibration; calibrate again, or remove [calibration]"),
         ])
     }
 }
@@ -254,8 +254,76 @@ pub(crate) fn geometry_blake3(head: &HeadModel) -> String {
         }
         numbers(&pose.map_or([f64::NAN; 3], |pose| pose.translation_mm));
     }
+    // Camera and projector are another pair at another setting of their liquid lenses.
+    if let Some(lens) = &head.lens {
+        numbers(&[f64::from(lens.counts)]);
+    }
     if let Some(cores) = &head.cores {
         hasher.update(cores.blake3.as_bytes());
     }
     hasher.finalize().to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::head::{LensDrive, Pinhole, RigidTransform};
+
+    /// A check drives the lens to the counts in the head's file: with other counts than the calibrated ones there is no calibration.
+    #[test]
+    fn a_calibration_is_for_one_setting_of_the_lens() {
+        let lens = |width_px, height_px| Pinhole {
+            width_px,
+            height_px,
+            focal_px: [2530.0; 2],
+            principal_px: [0.5 * f64::from(width_px), 0.5 * f64::from(height_px)],
+            distortion: [0.0; 5],
+            residual: None,
+        };
+        let beside = RigidTransform {
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation_mm: [-11.0, 0.0, 0.0],
+        };
+        let mut head = HeadModel::from_lenses("liquid", lens(1920, 1200), lens(1024, 768), beside);
+        let fixed = head.geometry_blake3();
+        let drive = LensDrive {
+            zero_counts: 516.0,
+            dpt_per_count: 0.0399,
+            range: [416, 616],
+            settle_ms: 150,
+            counts: 554,
+        };
+        head.lens = Some(drive);
+        assert_ne!(head.geometry_blake3(), fixed);
+        let record = |head: &HeadModel| -> CalibrationRecord {
+            let text = format!(
+                "date = \"2026-01-31\"\nexpires = \"2026-07-30\"\ntarget = \"dots\"\nunit = \"mm\"\nblake3 = \"{}\"\n\
+                 frames = [\"camera\", \"projector\", \"stage\"]\nviews = 12\ndots = 2995\ndropped = 0\n\
+                 camera_rms_px = 0.2\nprojector_rms_px = 0.2\ndepth_sigma_um = 0.9\nlateral_sigma_um = 1.6\n",
+                head.geometry_blake3()
+            );
+            toml::from_str(&text).unwrap()
+        };
+        let record = record(&head);
+        let mut with = |drive: LensDrive| {
+            head.lens = Some(drive);
+            record.check(&head)
+        };
+        assert_eq!(with(drive).map_err(|bad| format!("{bad:?}")), Ok(()));
+        // How long it takes to come to rest is no property of the optics.
+        let slower = LensDrive {
+            settle_ms: 300,
+            ..drive
+        };
+        assert!(with(slower).is_ok());
+        let refused = with(LensDrive {
+            counts: 555,
+            ..drive
+        });
+        let said = format!("{:?}", refused.unwrap_err());
+        assert!(
+            said.contains("calibration.blake3") && said.contains("lens.counts"),
+            "{said}"
+        );
+    }
 }

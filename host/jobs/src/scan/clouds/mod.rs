@@ -199,12 +199,10 @@ impl CloudRecording {
             let z_mm = read.points[point][2];
             return Err(CloudsError::Behind { path, point, z_mm });
         }
-        let stated = ["sigma_z", "sigma"]
-            .iter()
-            .find_map(|name| read.extras.iter().find(|extra| extra.name == *name));
+        let stated = read.sigma_property();
         let stated_mm = self.index.sigma_um.map(|um| 1e-3 * um);
         let sigma_mm: Vec<f32> = match stated {
-            Some(extra) => extra.values().map(|v| (v * unit.mm()) as f32).collect(),
+            Some(extra) => extra.values().map(|mm| mm as f32).collect(),
             None => vec![stated_mm.unwrap_or(TYPICAL_NOISE_MM) as f32; read.points.len()],
         };
         let is_none = |sigma: &f32| !(sigma.is_finite() && *sigma > 0.0);
@@ -215,10 +213,11 @@ impl CloudRecording {
                 sigma_mm: sigma_mm[point],
             });
         }
+        let has_sigma = stated.is_some() || stated_mm.is_some();
         Ok(ViewCloud {
             points_mm: read.points.into_inner(),
             sigma_mm,
-            has_sigma: stated.is_some() || stated_mm.is_some(),
+            has_sigma,
             blake3,
         })
     }

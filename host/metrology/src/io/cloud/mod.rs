@@ -158,6 +158,18 @@ pub enum CloudError {
         /// Limit.
         most_mm: f64,
     },
+    /// An uncertainty that is none.
+    #[error(
+        "point {index}: {property} is {sigma_mm} mm; a standard uncertainty is finite and above 0 mm"
+    )]
+    Sigma {
+        /// Point, from 0.
+        index: usize,
+        /// The property that states it.
+        property: String,
+        /// The value.
+        sigma_mm: f32,
+    },
     /// NaN or infinity.
     #[error("point {index}: coordinate {axis} is {value}; every coordinate must be finite")]
     NonFinite {
@@ -213,6 +225,10 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
     cloud.in_unit(unit)
 }
 
+/// Properties that state the standard uncertainty of a point, in the unit of the cloud: `decode` writes the first, `scan --cloud` the
+/// second.
+pub const SIGMA_PROPERTIES: [&str; 2] = ["sigma_z", "sigma"];
+
 /// Points beyond this many that lie within [`LEAST_DIAGONAL_MM`] are no cloud in mm.
 const CHECKED_POINTS: usize = 100;
 /// Smallest diagonal of a cloud of that many points, mm: below what any head's field shows, above a whole die in metres.
@@ -237,6 +253,13 @@ impl Cloud {
             }
             // Scaled coordinates are no longer the file's rounded ones.
             self.coordinate = Scalar::F64;
+            for extra in &mut self.extras {
+                if SIGMA_PROPERTIES.contains(&extra.name.as_str()) {
+                    let scaled = extra.values().map(|value| value * scale);
+                    extra.bytes = scaled.flat_map(f64::to_le_bytes).collect();
+                    extra.kind = Scalar::F64;
+                }
+            }
         }
         for (index, point) in self.points.iter().enumerate() {
             // What overflows is infinite.
@@ -270,6 +293,33 @@ impl Cloud {
 }
 
 impl Cloud {
+    /// The property that states the points' standard uncertainties, mm.
+    #[must_use]
+    pub fn sigma_property(&self) -> Option<&Extra> {
+        let named = |name| self.extras.iter().find(|extra| extra.name == name);
+        SIGMA_PROPERTIES.into_iter().find_map(named)
+    }
+
+    /// Standard uncertainty of every point, mm, where the file states them.
+    ///
+    /// # Errors
+    /// [`CloudError::Sigma`] with the first that is not finite and above 0.
+    pub fn sigma_mm(&self) -> Result<Option<Vec<f32>>, CloudError> {
+        let Some(property) = self.sigma_property() else {
+            return Ok(None);
+        };
+        let sigma_mm: Vec<f32> = property.values().map(|mm| mm as f32).collect();
+        let is_none = |mm: &f32| !(mm.is_finite() && *mm > 0.0);
+        match sigma_mm.iter().position(is_none) {
+            Some(index) => Err(CloudError::Sigma {
+                index,
+                property: property.name.clone(),
+                sigma_mm: sigma_mm[index],
+            }),
+            None => Ok(Some(sigma_mm)),
+        }
+    }
+
     /// The marked points alone, with their properties, in the same order.
     #[must_use]
     pub fn keep(mut self, kept: &[bool]) -> Self {
