@@ -93,6 +93,7 @@ pub fn demo_gear() -> GearSpec {
         tip_radius_mm: 41.45 - module_mm,
         root_radius_mm: 41.45 + 1.25 * module_mm,
         root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
         body_radius_mm: 88.5,
         height_mm: [0.0, 66.0],
     }

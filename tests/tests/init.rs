@@ -16,6 +16,7 @@ fn internal() -> GearSpec {
         tip_radius_mm: 34.5,
         root_radius_mm: 37.2,
         root_fillet_radius_mm: 0.2,
+        turned_rad: 0.0,
         body_radius_mm: 46.0,
         height_mm: [-12.0, 9.0],
     }
@@ -30,6 +31,7 @@ fn external() -> GearSpec {
         tip_radius_mm: 25.0,
         root_radius_mm: 20.6,
         root_fillet_radius_mm: 0.3,
+        turned_rad: 0.0,
         body_radius_mm: 8.0,
         height_mm: [0.0, 15.0],
     }

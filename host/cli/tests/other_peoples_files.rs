@@ -245,6 +245,7 @@ fn a_large_part_is_laid_on_its_cad_by_limits_of_its_own_noise() {
         tip_radius_mm: 1025.0,
         root_radius_mm: 1081.25,
         root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
         body_radius_mm: 1300.0,
         height_mm: [0.0, 1650.0],
     };

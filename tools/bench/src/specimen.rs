@@ -114,15 +114,6 @@ fn shown(head: &HeadFile, made: &HeadDesign) -> anyhow::Result<Vec<PatternSpec>>
 }
 
 fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {
-    // The bench's gear has its first tooth half a pitch behind +x.
-    let half_pitch_deg = 180.0 / f64::from(gear.teeth);
-    let off_deg = (gear.first_tooth_centre_deg - half_pitch_deg).rem_euclid(2.0 * half_pitch_deg);
-    anyhow::ensure!(
-        off_deg.min(2.0 * half_pitch_deg - off_deg) < 1e-6
-            && gear.first_tooth_centre_deg < 2.0 * half_pitch_deg,
-        "first_tooth_centre_deg = {} cannot be put on the bench; {half_pitch_deg} (a tooth space on +x) can",
-        gear.first_tooth_centre_deg,
-    );
     Ok(GearSpec {
         kind: match gear.kind {
             Kind::Internal => GearKind::Internal,
@@ -134,6 +125,8 @@ fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {
         tip_radius_mm: gear.tip_radius_mm,
         root_radius_mm: gear.root_radius_mm,
         root_fillet_radius_mm: 0.0,
+        turned_rad: gear.first_tooth_centre_deg.to_radians()
+            - std::f64::consts::PI / f64::from(gear.teeth),
         body_radius_mm: cad
             .vertices
             .iter()

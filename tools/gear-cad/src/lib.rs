@@ -21,6 +21,7 @@
 //!     tip_radius_mm: 41.0,
 //!     root_radius_mm: 43.25,
 //!     root_fillet_radius_mm: 0.0,
+//!     turned_rad: 0.0,
 //!     body_radius_mm: 51.25,
 //!     height_mm: [0.0, 66.0],
 //! };

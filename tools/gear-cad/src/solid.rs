@@ -132,7 +132,7 @@ impl GearSpec {
                 low + (high - low) * slice as f64 / layout.slices as f64
             };
             for tooth in 0..layout.teeth {
-                let start = pitch * tooth as f64;
+                let start = self.turned_rad + pitch * tooth as f64;
                 mesh.vertices.extend(
                     outline
                         .iter()
@@ -142,7 +142,7 @@ impl GearSpec {
         }
         for z in [low, high] {
             for step in 0..layout.teeth * wall_steps {
-                let angle = pitch * step as f64 / wall_steps as f64;
+                let angle = self.turned_rad + pitch * step as f64 / wall_steps as f64;
                 mesh.vertices
                     .push(cylindrical(self.body_radius_mm, angle, z));
             }

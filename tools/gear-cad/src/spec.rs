@@ -37,6 +37,8 @@ pub struct GearSpec {
     pub root_radius_mm: f64,
     /// Radius of the fillet between flank and root circle, mm; 0 leaves a sharp corner.
     pub root_fillet_radius_mm: f64,
+    /// Turn about the axis, rad; at 0 the middle of the space before tooth 1 lies on +x.
+    pub turned_rad: f64,
     /// Outer wall of an internal gear or bore of an external one, mm.
     pub body_radius_mm: f64,
     /// Lower and upper end face, mm.
@@ -144,7 +146,7 @@ impl GearSpec {
 
     /// Angle of the centre of tooth `tooth` (1-based), rad.
     pub fn tooth_centre_rad(&self, tooth: u32) -> f64 {
-        (f64::from(tooth) - 0.5) * self.pitch_angle_rad()
+        self.turned_rad + (f64::from(tooth) - 0.5) * self.pitch_angle_rad()
     }
 
     /// Roll angle of the involute at `radius_mm`: unwound string length over base radius. NaN inside the base circle.
@@ -226,6 +228,7 @@ impl GearSpec {
             ("tip_radius_mm", self.tip_radius_mm),
             ("root_radius_mm", self.root_radius_mm),
             ("root_fillet_radius_mm", self.root_fillet_radius_mm),
+            ("turned_rad", self.turned_rad),
             ("body_radius_mm", self.body_radius_mm),
             ("height_mm[0]", self.height_mm[0]),
             ("height_mm[1]", self.height_mm[1]),

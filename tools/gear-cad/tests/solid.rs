@@ -15,6 +15,7 @@ fn die() -> GearSpec {
         tip_radius_mm: pitch_radius_mm - module_mm,
         root_radius_mm: pitch_radius_mm + 1.25 * module_mm,
         root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
         body_radius_mm: 88.5,
         height_mm: [0.0, 66.0],
     }
@@ -29,6 +30,7 @@ fn pinion() -> GearSpec {
         tip_radius_mm: 52.0,
         root_radius_mm: 47.5,
         root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
         body_radius_mm: 10.0,
         height_mm: [-3.0, 7.0],
     }

@@ -194,7 +194,8 @@ pub(crate) fn nearest_flank(gear: &GearSpec, p: [f64; 3]) -> Option<(FlankId, f6
     if !(a.min(b) - ON_INVOLUTE_MM..=a.max(b) + ON_INVOLUTE_MM).contains(&radius) {
         return None;
     }
-    let turns = p[1].atan2(p[0]).rem_euclid(std::f64::consts::TAU) / gear.pitch_angle_rad();
+    let from_first = (p[1].atan2(p[0]) - gear.turned_rad).rem_euclid(std::f64::consts::TAU);
+    let turns = from_first / gear.pitch_angle_rad();
     let tooth = (turns.floor() as u32).min(gear.teeth - 1) + 1;
     let from_centre = p[1].atan2(p[0]) - gear.tooth_centre_rad(tooth);
     let from_centre =

@@ -62,8 +62,8 @@ impl Form {
             if in_toothing(gear, radius) && radius > 0.0 {
                 let angle = p[1].atan2(p[0]);
                 let by = self.radial_mm(angle, (p[2] - bottom) / (top - bottom));
-                // Half teeth from +x on, where the middle of a space is: right, left, right ...
-                let half = (2.0 * angle / gear.pitch_angle_rad())
+                // Half teeth from the middle of the space before tooth 1 on: right, left, right ...
+                let half = (2.0 * (angle - gear.turned_rad) / gear.pitch_angle_rad())
                     .floor()
                     .rem_euclid(2.0 * f64::from(gear.teeth)) as usize;
                 let [right, left] = flanks_mm[(half / 2).min(flanks_mm.len() - 1)];

@@ -59,6 +59,7 @@ fn gear() -> GearSpec {
         tip_radius_mm: 41.45 - 82.9 / 84.0,
         root_radius_mm: 41.45 + 1.25 * 82.9 / 84.0,
         root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
         body_radius_mm: 88.5,
         height_mm: [0.0, 66.0],
     }
