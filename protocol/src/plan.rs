@@ -487,19 +487,6 @@ impl CapturePlan {
         })
     }
 
-    /// Set and step of DMD index `pattern`; `None` for black and beyond the last pattern.
-    #[must_use]
-    pub fn fringe(&self, pattern: u16) -> Option<(FringeSet, u8)> {
-        let mut step = pattern.checked_sub(1)?;
-        for &set in &self.fringes {
-            match step.checked_sub(u16::from(set.steps)) {
-                None => return Some((set, u8::try_from(step).ok()?)),
-                Some(rest) => step = rest,
-            }
-        }
-        None
-    }
-
     /// Time a projector's LED is on for one view, with nothing overlapped: exposure, DMD settle and readout of every frame.
     ///
     /// The real sequence overlaps readout with the next frame and is shorter, unless a device dawdles. A second projector shows no

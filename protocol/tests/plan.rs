@@ -80,19 +80,6 @@ fn a_second_projector_shows_all_once_more_at_each_exposure() {
 }
 
 #[test]
-fn patterns_count_through_the_sets() {
-    let plan = plan();
-    let steps: Vec<_> = (0..=13)
-        .map(|p| plan.fringe(p).map(|(set, step)| (set.periods, step)))
-        .collect();
-    let mut expected = vec![None];
-    expected.extend((0..4).map(|step| Some((4, step))));
-    expected.extend((0..8).map(|step| Some((48, step))));
-    expected.push(None);
-    assert_eq!(steps, expected);
-}
-
-#[test]
 fn led_on_time_is_the_sum_over_the_frames() {
     let plan = plan();
     let sum: u32 = (0..plan.frames_per_view())

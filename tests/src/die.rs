@@ -19,7 +19,6 @@ pub struct Place {
     pub flank: Flank,
     /// Radius less that of the tip, mm.
     pub from_tip_mm: f64,
-    /// Height, mm.
     pub height_mm: f64,
 }
 
@@ -32,7 +31,6 @@ pub struct Fine {
     pub flank: Flank,
     /// Radius less that of the tip, mm, from and to.
     pub from_tip_mm: [f64; 2],
-    /// Heights, mm, from and to.
     pub height_mm: [f64; 2],
     /// Steps along radius and height, mm.
     pub step_mm: [f64; 2],

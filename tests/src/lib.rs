@@ -247,7 +247,6 @@ impl Run {
     }
 
     /// Flanks whose verdict is not `go`, as `tooth:flank:verdict`.
-    #[must_use]
     pub fn not_go(&self) -> Vec<String> {
         let features = self.json["features"]
             .as_array()

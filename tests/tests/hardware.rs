@@ -4,7 +4,6 @@
 use flankscope_test_requisites::{has_aravis, workspace};
 use flankscope_tests::{flankscope, run};
 
-/// The blocks of a language.
 fn blocks(text: &str, language: &str) -> Vec<String> {
     let begin = format!("```{language}\n");
     let blocks = text.split(&begin).skip(1);

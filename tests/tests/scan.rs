@@ -429,7 +429,6 @@ fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     assert!(lost[0]["reason"].is_string(), "{lost:?}");
 }
 
-/// The feature of a flank.
 fn feature<'a>(run: &'a Run, tooth: u64, flank: &str) -> &'a serde_json::Value {
     let features = run.json["features"].as_array();
     let found = features.into_iter().flatten().find(|feature| {

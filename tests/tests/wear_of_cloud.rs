@@ -5,6 +5,7 @@ use std::path::Path;
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::tool::Tool;
+use flankscope_test_requisites::Random;
 use flankscope_tests::{Run, flankscope, run};
 use serde_json::Value;
 
@@ -17,27 +18,9 @@ const NOISE_MM: f64 = 3e-3;
 /// The tooth that is judged, and those beside it that hold the pose.
 const TOOTH: u32 = 40;
 
-/// Numbers with a standard deviation of one: the sum of twelve even ones, less six (Irwin and Hall).
-struct Scatter(u64);
-
-impl Scatter {
-    fn even(&mut self) -> f64 {
-        // Knuth's linear congruential generator (MMIX).
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn next(&mut self) -> f64 {
-        (0..12).map(|_| self.even()).sum::<f64>() - 6.0
-    }
-}
-
 /// Points on flanks and tips of eleven teeth, of which the left one of [`TOOTH`] has lost `wear_mm`; moved as a scanner's frame may be.
 fn cloud(gear: &GearData, wear_mm: impl Fn(f64, f64) -> f64, seed: u64) -> String {
-    let mut scatter = Scatter(seed);
+    let mut scatter = Random(seed);
     let mut text = String::new();
     let [tip, root] = [gear.tip_radius_mm, gear.root_radius_mm];
     let rows = ((root - tip).abs() / STEP_MM) as u32;
@@ -61,7 +44,7 @@ fn cloud(gear: &GearData, wear_mm: impl Fn(f64, f64) -> f64, seed: u64) -> Strin
             };
             let worn = (tooth, flank) == (TOOTH, Flank::Left);
             let lost_mm = if worn { wear_mm(radius, at[2]) } else { 0.0 };
-            let off_mm = NOISE_MM * scatter.next() - lost_mm;
+            let off_mm = NOISE_MM * scatter.normal() - lost_mm;
             let normal = gear.flank_normal(flank, at);
             add(std::array::from_fn(|k| at[k] + off_mm * normal[k]));
         }
@@ -70,7 +53,7 @@ fn cloud(gear: &GearData, wear_mm: impl Fn(f64, f64) -> f64, seed: u64) -> Strin
         for (row, column) in grid(rows) {
             let along = half * (2.0 * share(rows, row, column) - 1.0);
             let angle = gear.tooth_centre_rad(tooth) + along;
-            let radius = tip + NOISE_MM * scatter.next();
+            let radius = tip + NOISE_MM * scatter.normal();
             add([radius * angle.cos(), radius * angle.sin(), height(column)]);
         }
     }

@@ -53,7 +53,6 @@ impl LedBudget {
     }
 
     /// When the LED, if on, must be off.
-    #[must_use]
     pub fn exhausted_at(&self) -> Option<Timestamp> {
         let left = self.capacity_us.saturating_sub(self.used_us);
         self.on

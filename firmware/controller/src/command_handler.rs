@@ -40,7 +40,6 @@ pub struct LinkCounts {
 /// The sequence together with the session through which a host commands it.
 #[derive(Debug, Clone)]
 pub struct CommandHandler {
-    /// The sequence.
     pub sequence: Sequence,
     /// The press interlock.
     pub interlock: Interlock,
@@ -75,12 +74,6 @@ impl CommandHandler {
         }
     }
 
-    /// Why the controller started.
-    #[must_use]
-    pub fn boot(&self) -> Boot {
-        self.boot
-    }
-
     /// Samples the inputs from the press, together with what was ordered since the last time.
     pub fn sample_inputs(&mut self, now: Timestamp, levels: Levels) -> Change {
         let retract = self.sequence.state() == State::Retracting;
@@ -106,7 +99,6 @@ impl CommandHandler {
     }
 
     /// The open link session.
-    #[must_use]
     pub fn session(&self) -> Option<u32> {
         self.session.id()
     }

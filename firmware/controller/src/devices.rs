@@ -59,9 +59,7 @@ pub trait Camera {
 /// What a projector's light comes from.
 #[derive(Debug)]
 pub struct LightEngine<L, D> {
-    /// The LED.
     pub led: L,
-    /// The DMD.
     pub dmd: D,
 }
 
@@ -72,7 +70,6 @@ pub struct Optics<L, D, C, N> {
     pub first: LightEngine<L, D>,
     /// The one on the camera's other side, where one is fitted.
     pub second: Option<LightEngine<L, D>>,
-    /// The camera.
     pub camera: C,
     /// The liquid lens.
     pub lens: N,
@@ -92,7 +89,6 @@ async fn sensed<L: Led>(led: Option<&mut L>, awaited: Option<bool>) -> bool {
 
 impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
     /// Projectors fitted.
-    #[must_use]
     pub fn projectors(&self) -> u8 {
         1 + u8::from(self.second.is_some())
     }

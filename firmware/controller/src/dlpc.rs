@@ -11,7 +11,6 @@ pub mod register {
     pub const MAIN_STATUS: u8 = 0x22;
     /// Pattern display, start or stop.
     pub const START_STOP: u8 = 0x65;
-    /// Display mode.
     pub const DISPLAY_MODE: u8 = 0x69;
 }
 

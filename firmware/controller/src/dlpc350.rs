@@ -102,7 +102,6 @@ pub enum PatternError {
     /// The bus did not acknowledge.
     #[error(transparent)]
     Bus(#[from] BusFailed),
-    /// The validation did not end in time.
     #[error("the validation did not end within {limit_ms} ms")]
     Validating {
         /// Patience.

@@ -97,7 +97,6 @@ pub enum PatternError {
     /// The bus did not acknowledge.
     #[error(transparent)]
     Bus(#[from] BusFailed),
-    /// The patterns were made for other mirrors.
     #[error("the controller drives DMD number {got}, the patterns are for {want}")]
     OtherMirrors {
         /// By its own word, in its own numbering.

@@ -46,19 +46,16 @@ impl Lamp {
     }
 
     /// The enable output.
-    #[must_use]
     pub fn enabled(&self) -> bool {
         self.enabled
     }
 
     /// Its current is known to be gone.
-    #[must_use]
     pub fn is_dark(&self) -> bool {
         self.phase == Phase::Dark
     }
 
     /// On-time bookkeeping.
-    #[must_use]
     pub fn budget(&self) -> &LedBudget {
         &self.budget
     }
@@ -87,7 +84,6 @@ impl Lamp {
     }
 
     /// The sense level that would be news.
-    #[must_use]
     pub fn awaits(&self) -> Option<bool> {
         match self.phase {
             Phase::Dark | Phase::Rising { .. } => Some(true),
@@ -113,7 +109,6 @@ impl Lamp {
     }
 
     /// When [`Lamp::expire`] wants to be called.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp> {
         let sense = match self.phase {
             Phase::Rising { until } | Phase::Falling { until } => Some(until),

@@ -10,7 +10,6 @@ use embassy_time::{Duration, Timer};
 
 /// The tasks that must show life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[allow(missing_docs)] // the tasks of `tasks`
 pub enum Task {
     Receive,
     Transmit,

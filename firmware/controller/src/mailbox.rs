@@ -96,7 +96,6 @@ impl<T, const N: usize> Mailbox<T, N> {
     }
 
     /// Messages that there is room for.
-    #[must_use]
     pub fn free_capacity(&self) -> usize {
         self.with(|state| N.saturating_sub(state.queue.len()))
             .unwrap_or(0)

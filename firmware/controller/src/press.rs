@@ -49,7 +49,6 @@ impl Press for NoPress {
     fn drive(&mut self, _: bool, _: VerdictLines) {}
 }
 
-/// A press on pins.
 #[derive(Debug)]
 pub struct PinPress<I, O> {
     /// Input: press open A.

@@ -35,7 +35,6 @@ impl Session {
     }
 
     /// The open session's number.
-    #[must_use]
     pub fn id(&self) -> Option<u32> {
         self.open.map(|(id, _)| id)
     }

@@ -5,7 +5,6 @@ use flankscope_pin_wire::{PinMessage, Subject};
 use crate::registers::{Block, Irq};
 use crate::uart::Uart;
 
-/// To the bench.
 pub static BENCH: Uart = Uart::new(Block::UART1, Irq::Uart1Rx);
 
 /// Sends one message. No interrupt may come between two messages' bytes: call it in a critical section.

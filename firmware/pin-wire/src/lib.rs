@@ -58,7 +58,6 @@ pub enum Subject {
     PressOpenB = 22,
     /// No workpiece lies in the die.
     DieClear = 23,
-    /// The guard is closed.
     GuardClosed = 24,
     /// A pulse per stroke.
     Cycle = 25,

@@ -105,7 +105,6 @@ pub struct Remote {
 impl Remote {
     /// Holds virtual time until the guard is dropped. Tasks already due still run, and a bus transaction that has begun ends;
     /// holds may overlap.
-    #[must_use]
     pub fn hold(&self) -> Hold {
         let mut shared = self.bell.lock();
         shared.holds += 1;
@@ -185,7 +184,6 @@ impl Sim {
     }
 
     /// A handle for other threads.
-    #[must_use]
     pub fn remote(&self) -> Remote {
         Remote {
             bell: self.bell,
@@ -208,7 +206,6 @@ impl Sim {
     }
 
     /// The latest edges of all lines, in order; all of them in anything shorter than a hundred views.
-    #[must_use]
     pub fn edges(&self) -> Vec<Edge> {
         self.recorder.edges()
     }
@@ -244,7 +241,6 @@ impl Sim {
     }
 
     /// How well virtual time kept its pace so far.
-    #[must_use]
     pub fn pace(&self) -> Pace {
         Pace {
             virtual_us: clock::now_us(),

@@ -77,13 +77,11 @@ impl Line {
     }
 
     /// The level now.
-    #[must_use]
     pub fn level(&self) -> bool {
         self.state.borrow().level
     }
 
     /// When the level last changed, in microseconds: virtual time, or the time named by [`Line::set_at`].
-    #[must_use]
     pub fn changed_us(&self) -> u64 {
         self.state.borrow().changed_us
     }

@@ -95,7 +95,6 @@ impl Pty {
     }
 
     /// The path a host opens, such as `/dev/pts/3`.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }

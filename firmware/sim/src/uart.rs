@@ -98,7 +98,6 @@ impl Port {
     }
 
     /// Takes what has arrived, without waiting.
-    #[must_use]
     pub fn take(&self) -> Vec<u8> {
         self.incoming.lock().bytes.drain(..).collect()
     }

@@ -66,7 +66,6 @@ impl Watchdog for Feeder {
 }
 
 impl Controller {
-    /// Powers up.
     #[must_use]
     pub fn power_up(sim: &Sim, wiring: Rc<Wiring>, config: sequence::Config) -> Self {
         let controller = Self {
@@ -107,7 +106,6 @@ impl Controller {
     }
 
     /// When it was reset, virtual time.
-    #[must_use]
     pub fn resets_us(&self) -> Vec<u64> {
         self.resets.borrow().clone()
     }

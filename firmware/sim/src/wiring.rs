@@ -33,7 +33,6 @@ pub struct CurrentCell(Rc<Cell<u16>>);
 
 impl CurrentCell {
     /// The current set.
-    #[must_use]
     pub fn get(&self) -> Milliamps {
         Milliamps(self.0.get())
     }
@@ -107,7 +106,6 @@ impl PatternPort for PatternBus {
     }
 }
 
-/// The lines of a projector.
 #[derive(Clone)]
 pub struct ProjectorLines {
     /// Controller -> LED driver.
@@ -145,7 +143,6 @@ pub struct Board {
 
 /// The press's lines; [`flankscope_controller::press`] has their meanings.
 #[derive(Clone)]
-#[allow(missing_docs)] // one meaning each, in the module above
 pub struct PressLines {
     pub press_open_a: Line,
     pub press_open_b: Line,

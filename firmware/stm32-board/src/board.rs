@@ -90,7 +90,6 @@ pub type BoardOptics = Optics<
     Max14574<Bus>,
 >;
 type Bus = I2c<'static, Async, Master>;
-/// The DMD controller.
 type PatternBus = DmdController<Bus>;
 
 /// The press's signals.
@@ -98,7 +97,6 @@ pub type BoardPress = PinPress<In, Out>;
 
 /// Everything wired.
 pub struct Board {
-    /// Press.
     pub press: BoardPress,
     /// LED, DMD, camera.
     pub optics: BoardOptics,

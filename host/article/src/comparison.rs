@@ -50,7 +50,6 @@ pub struct MethodResult {
 /// Mean, standard deviation and root mean square, µm.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Spread {
-    /// Mean.
     pub mean_um: f64,
     /// Standard deviation.
     pub std_um: f64,
@@ -79,7 +78,6 @@ pub struct ScanDrift {
     pub largest: Option<Creep>,
 }
 
-/// One layer.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct LayerDrift {
     /// Its height on the vertical stage, mm.
@@ -108,7 +106,6 @@ pub struct Trend {
 /// Where views lie drifts.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Creep {
-    /// Direction.
     pub direction: &'static str,
     /// Layer, mm on the vertical stage.
     pub vertical_mm: f64,
@@ -202,7 +199,6 @@ pub struct JointSolve<'a> {
     pub adjustment: &'a Solution,
     /// Root mean square distance of each of these views about the form of the whole bore, mm; absent where it is not known.
     pub rms_about_form_mm: &'a [Option<f64>],
-    /// The map.
     pub map: &'a CylinderMap,
 }
 

@@ -107,7 +107,6 @@ impl Article {
     pub const BENCH: &'static str = "bench";
 
     /// Whether the views are a simulated bench's.
-    #[must_use]
     pub fn is_simulated(&self) -> bool {
         self.of.contains_key(Self::BENCH)
     }
@@ -118,7 +117,6 @@ impl Article {
 pub struct FirstView {
     /// Its number.
     pub view: usize,
-    /// Its points.
     pub points: Vec<[f64; 3]>,
     /// How much the fringes oscillate around each, counts.
     pub fringes_dn: Vec<f64>,
@@ -126,9 +124,7 @@ pub struct FirstView {
 
 /// A scan whose views were laid on the CAD by the joint solve.
 pub struct StitchedScan<'a, P> {
-    /// Its points.
     pub points: &'a P,
-    /// The tool.
     pub tool: &'a Tool,
     /// Its views, layer by layer.
     pub planned: &'a [PlannedView],
@@ -140,7 +136,6 @@ pub struct StitchedScan<'a, P> {
     pub nominal: &'a Stages,
     /// Cells that the views are laid on each other in.
     pub layout: Layout,
-    /// The joint solve.
     pub joint: JointSolve<'a>,
     /// The same in figures.
     pub ours: MethodResult,

@@ -70,7 +70,6 @@ pub trait ViewPoints {
 
 /// Why there are no figures. `P` is why points cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ArticleError<P: std::error::Error> {
     /// Points of a view.
     #[error("{0}")]
@@ -81,7 +80,6 @@ pub enum ArticleError<P: std::error::Error> {
     /// Nothing to compare with.
     #[error(transparent)]
     Reference(#[from] SampleTreeError),
-    /// The article's method laid no view.
     #[error(
         "none of {views} views settled on the CAD by the article's method; start it from picked pairs, or mask less"
     )]

@@ -16,7 +16,6 @@ use crate::drawn::{Drawn, laid};
 /// The initial transformation of the article's method: the pose that the registration of the first view starts at.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct InitialTransformation {
-    /// The view.
     pub view: usize,
     /// The pose, row by row: tool frame from camera frame, mm.
     pub tool_from_camera: [[f64; 4]; 4],

@@ -102,7 +102,6 @@ pub(crate) fn curve(mut points: Vec<Rated>) -> Vec<Left> {
         .collect()
 }
 
-/// The picture of a view.
 pub(crate) fn picture(view: usize, points: &[ViewPoint]) -> MaskPicture {
     let span = |axis: usize| {
         let values = points.iter().map(|p| f64::from(p[axis]));

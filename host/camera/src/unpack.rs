@@ -31,7 +31,6 @@ pub enum PixelFormat {
 
 /// What cannot be unpacked.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum UnpackError {
     /// Another format.
     #[error(
@@ -44,11 +43,9 @@ pub enum UnpackError {
     /// Another number of bytes than so many samples take.
     #[error("{got} bytes came; {pixels} samples of {format:?} take {need}")]
     Length {
-        /// Bytes that came.
         got: usize,
         /// Bytes that would be right.
         need: usize,
-        /// Samples.
         pixels: usize,
         /// Their format.
         format: PixelFormat,
@@ -67,7 +64,6 @@ impl FromStr for PixelFormat {
 }
 
 impl PixelFormat {
-    /// Every one.
     pub const ALL: [Self; 8] = [
         Self::Mono8,
         Self::Mono10,

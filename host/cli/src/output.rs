@@ -116,9 +116,6 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
 }
 
 /// Creates a folder for reports and checks that its files can be written.
-///
-/// # Errors
-/// As [`try_folder`].
 pub fn try_report(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     try_folder(folder, files)?;
     let pages = folder.join(ReportFolder::PAGES);

@@ -3,7 +3,8 @@
 mod support;
 
 use flankscope_metrology::io::{Unit, cloud};
-use support::{Random, flankscope, json, write_xyz};
+use flankscope_test_requisites::Random;
+use support::{flankscope, json, write_xyz};
 
 /// A wavy sheet of 4 by 4 mm with some points far off it.
 fn sheet() -> Vec<[f64; 3]> {

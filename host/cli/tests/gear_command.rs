@@ -6,7 +6,8 @@ use std::path::Path;
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
-use support::{Random, assert_refused, flankscope, json, write_xyz};
+use flankscope_test_requisites::Random;
+use support::{assert_refused, flankscope, json, write_xyz};
 
 /// The demo die's folder, made by the command itself.
 fn demo(folder: &Path) -> Tool {

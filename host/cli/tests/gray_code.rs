@@ -5,6 +5,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use flankscope_test_requisites::Random;
+
 const CAMERA: [u32; 2] = [160, 120];
 const MIRRORS: [u32; 2] = [256, 192];
 const BASELINE_MM: f64 = 30.0;
@@ -138,16 +140,9 @@ impl Rig {
     }
 
     fn capture(&self) {
-        let mut state = 5u64;
-        let mut uniform = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
-        let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let mut random = Random(5);
         for (number, picture) in self.pictures().iter().enumerate() {
-            let counts = self.frame(picture, &mut normal);
+            let counts = self.frame(picture, &mut || random.normal());
             self.store(number, &counts);
         }
     }

@@ -3,7 +3,8 @@
 mod support;
 
 use flankscope_metrology::io::{Unit, cloud};
-use support::{Random, assert_refused, flankscope, json, write_xyz};
+use flankscope_test_requisites::Random;
+use support::{assert_refused, flankscope, json, write_xyz};
 
 #[test]
 fn two_clouds_become_the_centroids_of_their_common_voxels() {

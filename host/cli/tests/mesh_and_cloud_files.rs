@@ -63,7 +63,14 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     }
     mesh::write_stl(&mut metres, &small).unwrap();
     let mut ply = Vec::new();
-    ply::write_triangles(&mut ply, "cube", &cube().vertices, &cube().triangles).unwrap();
+    ply::write_mesh(
+        &mut ply,
+        "cube",
+        (&cube().vertices, ply::Scalar::F64),
+        &[],
+        &cube().triangles,
+    )
+    .unwrap();
     let mut cut_ply = ply.clone();
     cut_ply.truncate(ply.len() - 20);
     let little = "format binary_little_endian 1.0\n";
@@ -445,7 +452,14 @@ fn formats_agree() {
     let mut stl = Vec::new();
     mesh::write_stl(&mut stl, &cube).unwrap();
     let mut ply = Vec::new();
-    ply::write_triangles(&mut ply, "cube", &cube.vertices, &cube.triangles).unwrap();
+    ply::write_mesh(
+        &mut ply,
+        "cube",
+        (&cube.vertices, ply::Scalar::F64),
+        &[],
+        &cube.triangles,
+    )
+    .unwrap();
     let corner = |i: u32| cube.vertices[i as usize].map(|c| c.to_string()).join(" ");
     let mut ascii_stl = String::from("solid cube\n");
     for t in &cube.triangles {
@@ -510,7 +524,7 @@ fn formats_agree() {
     assert!(results.windows(2).all(|pair| pair[0] == pair[1]));
     // By hand: the first point is outside three faces, at (-2, -1, -1).
     let table = ply::read(&results[0], ply::Want::Extras).unwrap();
-    assert!((table.extras[0].get(0).unwrap() - 6f64.sqrt()).abs() < 1e-6);
+    assert!((table.extras[0].values().next().unwrap() - 6f64.sqrt()).abs() < 1e-6);
 }
 
 /// A name says what is written, or nothing is: points are no STL.

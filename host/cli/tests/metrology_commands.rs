@@ -9,9 +9,9 @@ use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::mesh;
 use flankscope_metrology::io::{cloud, ply};
 use flankscope_metrology::surface::Surface;
-use flankscope_test_requisites::shared;
+use flankscope_test_requisites::{Random, shared};
 use serde_json::Value;
-use support::{Random, flankscope, json, write_xyz};
+use support::{flankscope, json, write_xyz};
 
 /// Runs a test on the ring gear of 84 teeth and module 1, and on that of another CAD kernel if it is there.
 fn on_every_ring84(body: impl Fn(&Path)) {
@@ -171,7 +171,7 @@ fn run_a_moved_patch_is_laid_back(cad: &Path) {
     let surface = Surface::new(&mesh::load(Path::new(cad), Unit::Mm).unwrap()).unwrap();
     for (i, p) in aligned.iter().enumerate() {
         let expected = surface.closest(*p).signed_distance_mm;
-        assert!((table.extras[0].get(i).unwrap() - expected).abs() < 1e-8);
+        assert!((table.extras[0].values().nth(i).unwrap() - expected).abs() < 1e-8);
     }
 
     // The article's metric says something else: no sign, and half the spacing of its reference as a mean.

@@ -6,8 +6,9 @@ use std::path::Path;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
 use flankscope_metrology::io::{Unit, cloud};
+use flankscope_test_requisites::Random;
 use serde_json::Value;
-use support::{Random, assert_refused, flankscope, json, write_xyz};
+use support::{assert_refused, flankscope, json, write_xyz};
 
 const CORNERS: [[f64; 3]; 8] = [
     [0.0, 0.0, 0.0],

@@ -2,7 +2,8 @@
 
 mod support;
 
-use support::{Random, assert_refused, flankscope, json, write_xyz};
+use flankscope_test_requisites::Random;
+use support::{assert_refused, flankscope, json, write_xyz};
 
 /// A hilly patch of 10 x 10 mm, drawn anew for every seed, moved by `shift_mm` along x, y and z.
 fn hills(seed: u64, count: usize, shift_mm: [f64; 3]) -> Vec<[f64; 3]> {

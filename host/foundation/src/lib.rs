@@ -23,6 +23,7 @@
 //! assert!((guard_factor(0.975) - 1.96).abs() < 1e-4);
 //! # Ok::<(), flankscope_foundation::date::NoDate>(())
 //! ```
+#![warn(missing_docs)]
 
 pub mod activity;
 pub mod date;

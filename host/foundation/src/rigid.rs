@@ -1,6 +1,6 @@
 //! Rigid transforms between frames of reference, which are types, so that a transform can only be applied to points of its own frame.
 //!
-//! All frames are right-handed, millimetres. [`Tool`] and [`Cad`]: die axis = z. [`Stage`]: z = rotation axis of the stage.
+//! All frames are right-handed, millimetres. [`Tool`]: die axis = z. [`Stage`]: z = rotation axis of the stage.
 //! [`Camera`]: x along columns, y along rows, z into the scene. [`Projector`]: the same for the pattern. [`Cloud`]: whatever
 //! frame a foreign cloud is in.
 
@@ -18,8 +18,6 @@ macro_rules! frames {
 }
 
 frames! {
-    /// CAD model coordinates.
-    Cad,
     /// Coordinates of the die as it is.
     Tool,
     /// Rotary stage.

@@ -35,6 +35,7 @@
 //! assert_eq!(patterns, [0, 1, 2, 3]);
 //! assert_eq!(labels.take(), (7, FrameLabel::BEYOND));
 //! ```
+#![warn(missing_docs)]
 
 pub mod arm;
 pub mod conformance;

@@ -13,15 +13,12 @@ use flankscope_record::seal::Seals;
 /// The tool that is measured, and the head and station that measure it.
 #[derive(Clone, Debug)]
 pub struct Subject {
-    /// The tool.
     pub tool: Arc<flankscope_metrology::tool::Tool>,
-    /// The head.
     pub head: Arc<flankscope_profilometry::HeadModel>,
     /// Temperature of the tool, °C, if known.
     pub temperature_degc: Option<f64>,
     /// Baseline of the tool when new; if given, wear is relative to it.
     pub baseline: Option<Arc<Baseline>>,
-    /// Settings of the station.
     pub station: Arc<StationSettings>,
     /// Status of the head's signature, in words: signed, trusted by a person, or unsigned.
     pub head_seal: String,
@@ -33,7 +30,6 @@ pub struct Subject {
 
 impl Subject {
     /// Key of the die in a history.
-    #[must_use]
     pub fn die(&self) -> DieKey {
         // A gear consists of names and numbers, so it can always be written as JSON.
         let gear = serde_json::to_string(&self.tool.gear).unwrap_or_default();
@@ -51,7 +47,6 @@ impl Subject {
     }
 
     /// The head, with the status of its signature.
-    #[must_use]
     pub fn head_id(&self) -> HeadId {
         HeadId {
             name: self.head.name.clone(),

@@ -35,6 +35,7 @@
 //! ```
 //!
 //! Millimetres and radians throughout, f64. Numbers from outside are checked where they enter ([`io`], [`tool`]) and are finite from there on.
+#![warn(missing_docs)]
 
 pub mod cloud;
 pub mod deviation;

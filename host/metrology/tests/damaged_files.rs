@@ -26,7 +26,14 @@ fn originals() -> Vec<Vec<u8>> {
     let mut stl = Vec::new();
     mesh::write_stl(&mut stl, &mesh).unwrap();
     let mut little = Vec::new();
-    ply::write_triangles(&mut little, "tetrahedron", &mesh.vertices, &mesh.triangles).unwrap();
+    ply::write_mesh(
+        &mut little,
+        "tetrahedron",
+        (&mesh.vertices, ply::Scalar::F64),
+        &[],
+        &mesh.triangles,
+    )
+    .unwrap();
     let text = b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
         property uchar red\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n\
         0 0 0 1\n10 0 0 2\n0 10 0 3\n0 0 10 4\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n";

@@ -40,7 +40,7 @@
 //! println!("{} points", decoded.cloud.len());
 //! # Ok(()) }
 //! ```
-
+#![warn(missing_docs)]
 // `!(value > limit)` is meant: a NaN must fail every check.
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 

@@ -348,7 +348,6 @@ fn sorted_frames(
     Ok(kinds)
 }
 
-/// The pictures of the code.
 fn code_pictures(patterns: &PatternSet) -> impl Iterator<Item = Shown> + '_ {
     let is_code = |picture: &Shown| matches!(picture, Shown::Code { .. });
     patterns.pictures().filter(is_code)

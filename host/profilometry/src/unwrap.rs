@@ -216,6 +216,8 @@ pub fn order_step_rad(periods: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use flankscope_test_requisites::Random;
+
     use super::*;
 
     fn wrap(phase: f64) -> f64 {
@@ -304,14 +306,7 @@ mod tests {
     /// Errors drawn from the clues' own covariance take a neighbour as often as the separation says.
     #[test]
     fn the_separation_says_how_often_noise_takes_another_order() {
-        let mut state = 11u64;
-        let mut uniform = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
-        let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let mut random = Random(11);
         let (sigma, draws) = (0.16, 200_000);
         let ladder = Ladder {
             middle_rad: 0.0,
@@ -320,8 +315,8 @@ mod tests {
         };
         let (mut wrong, mut separation) = (0, 0.0);
         for _ in 0..draws {
-            let own = sigma * normal();
-            let clues = [41.0, 45.0].map(|p| clue(p / 48.0, sigma * normal(), sigma, sigma));
+            let own = sigma * random.normal();
+            let clues = [41.0, 45.0].map(|p| clue(p / 48.0, sigma * random.normal(), sigma, sigma));
             let found = decide(&clues, own, &ladder);
             wrong += usize::from((found.absolute_rad - own).abs() > 1.0);
             separation = found.separation;

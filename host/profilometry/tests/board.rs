@@ -10,6 +10,7 @@ use flankscope_profilometry::calibrate::board::{
     Board, BoardAdjusted, BoardError, BoardFrames, BoardKind, BoardView, adjust, find,
 };
 use flankscope_profilometry::cloud::CellColumn;
+use flankscope_test_requisites::Random;
 
 type V = [f64; 3];
 
@@ -155,18 +156,7 @@ fn picture(kind: BoardKind, (turns, middle): (V, V), noise: f64, moved_px: f64) 
     };
     let turn = turned(TURN);
     let (mut mean, mut columns, mut rows) = (Vec::new(), Vec::new(), Vec::new());
-    let mut seed = 1u64;
-    let mut random = move || {
-        // Sums of twelve uniform numbers are nearly normal.
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            seed = seed
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (seed >> 11) as f64 / (1u64 << 53) as f64;
-        }
-        sum
-    };
+    let mut random = Random(1);
     for row in 0..CAMERA.size[1] {
         for column in 0..CAMERA.size[0] {
             let mut light = 0.0;
@@ -176,7 +166,7 @@ fn picture(kind: BoardKind, (turns, middle): (V, V), noise: f64, moved_px: f64) 
                 let away = [0, 1, 2].map(|i| p[i] - middle[i]);
                 light += print(kind, [dot(along, away), dot(across, away)]) / 9.0;
             }
-            mean.push((light + noise * random()) as f32);
+            mean.push((light + noise * random.normal()) as f32);
             let p = hit([column as f64, row as f64]);
             let q = [0, 1, 2].map(|i| dot(turn[i], p) + SHIFT_MM[i]);
             let lit = PROJECTOR.pixel(q);
@@ -187,8 +177,8 @@ fn picture(kind: BoardKind, (turns, middle): (V, V), noise: f64, moved_px: f64) 
                 contrast: 0.5,
                 column_px: Some(at + off),
             };
-            columns.push(cell(lit[0], moved_px + 0.05 * noise * random()));
-            rows.push(cell(lit[1], 0.05 * noise * random()));
+            columns.push(cell(lit[0], moved_px + 0.05 * noise * random.normal()));
+            rows.push(cell(lit[1], 0.05 * noise * random.normal()));
         }
     }
     Picture {

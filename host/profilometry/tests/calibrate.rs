@@ -9,6 +9,7 @@ use flankscope_profilometry::head::{
 };
 use flankscope_profilometry::pattern::Axis;
 use flankscope_profilometry::triangulate::Triangulator;
+use flankscope_test_requisites::Random;
 
 const STAGE_SIGMA: [f64; 2] = [151e-6, 2.9e-3];
 const SWING: f64 = 0.05;
@@ -129,22 +130,6 @@ const TILTS: [[f64; 2]; 6] = [
     [0.14, 0.14],
     [-0.14, -0.14],
 ];
-
-/// Numbers that do not come from the code under test.
-struct Random(u64);
-
-impl Random {
-    fn normal(&mut self) -> f64 {
-        let mut uniform = || {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (self.0 >> 11) as f64 / (1u64 << 53) as f64
-        };
-        (0..12).map(|_| uniform()).sum::<f64>() - 6.0
-    }
-}
 
 /// An image shift that no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
 /// their root mean square along each axis.

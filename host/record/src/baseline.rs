@@ -42,7 +42,6 @@ pub struct Baseline {
     pub hashes: BTreeMap<String, String>,
     /// Whether it was captured on the simulated bench.
     pub simulated: bool,
-    /// The flanks.
     pub flanks: Vec<Reference>,
     /// Evidence of each view's rotation about the axis, from all flanks in it.
     pub poses: Vec<PoseEvidence>,
@@ -76,7 +75,6 @@ impl Reference {
 
 /// Why a baseline cannot be recorded or used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum BaselineError {
     /// The file cannot be read or written.
     #[error("baseline {}: {source}", path.display())]
@@ -86,7 +84,6 @@ pub enum BaselineError {
         /// Cause.
         source: std::io::Error,
     },
-    /// The file is not a baseline.
     #[error("baseline {}: {source}; right would be a file written by inspect --record-baseline", path.display())]
     Syntax {
         /// The file.
@@ -99,7 +96,6 @@ pub enum BaselineError {
     Size {
         /// The file.
         path: PathBuf,
-        /// Its size.
         bytes: u64,
     },
     /// The number of cells does not fit the grid.
@@ -107,7 +103,6 @@ pub enum BaselineError {
     Grid {
         /// The file.
         path: PathBuf,
-        /// Tooth.
         tooth: u32,
         /// Side.
         flank: Flank,
@@ -123,7 +118,6 @@ pub enum BaselineError {
     Twice {
         /// The file.
         path: PathBuf,
-        /// Tooth.
         tooth: u32,
         /// Side.
         flank: Flank,
@@ -133,13 +127,11 @@ pub enum BaselineError {
     Value {
         /// The file.
         path: PathBuf,
-        /// Tooth.
         tooth: u32,
         /// Side.
         flank: Flank,
         /// Name of the value.
         what: &'static str,
-        /// Its value.
         value: f64,
         /// Expected values.
         expected: &'static str,
@@ -171,10 +163,7 @@ pub enum BaselineError {
     },
     /// The check did not end in "go", so it cannot be a baseline.
     #[error("a check that ended in {verdict} is no baseline of a new tool; it must end in go")]
-    NotNew {
-        /// Its verdict.
-        verdict: Word,
-    },
+    NotNew { verdict: Word },
 }
 
 impl Baseline {
@@ -283,14 +272,12 @@ impl Baseline {
     }
 
     /// The JSON text that [`Self::hash`] is computed from.
-    #[must_use]
     pub fn document(&self) -> String {
         // Only names, words and numbers, so it can always be written as JSON.
         serde_json::to_string(self).unwrap_or_default()
     }
 
     /// BLAKE3 of [`Self::document`].
-    #[must_use]
     pub fn hash(&self) -> String {
         files::hash(self.document().as_bytes())
     }

@@ -43,7 +43,6 @@ pub struct NoLink;
 
 impl Link {
     /// Whether it is simulated, without a real die.
-    #[must_use]
     pub fn is_simulated(&self) -> bool {
         match self {
             Self::Sim | Self::Qemu => true,
@@ -102,7 +101,6 @@ pub struct HeadId {
 
 impl HeadId {
     /// Its name and the status of its signature.
-    #[must_use]
     pub fn words(&self) -> String {
         format!("{} ({})", self.name, self.seal)
     }
@@ -115,11 +113,9 @@ pub struct Origin {
     pub link: String,
     /// Whether it is simulated, without a real die.
     pub simulated: bool,
-    /// The head.
     pub head: HeadId,
     /// Name of the station.
     pub station: String,
-    /// Operator.
     pub operator: Option<String>,
     /// The recording, for recorded frames or clouds.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -144,7 +140,6 @@ impl Origin {
     }
 
     /// Measured object, in words.
-    #[must_use]
     pub fn place(&self) -> String {
         let what = match self.simulated {
             true => "simulated bench",
@@ -154,7 +149,6 @@ impl Origin {
     }
 
     /// Each entry with its name, for a table.
-    #[must_use]
     pub fn particulars(&self) -> Vec<(&'static str, String)> {
         let operator = self.operator.as_deref().unwrap_or("–");
         vec![

@@ -35,9 +35,7 @@ pub struct BenchFile {
     pub stages: StagesTable,
     /// Optics of the head.
     pub head: HeadTable,
-    /// The camera.
     pub camera: CameraTable,
-    /// The press.
     pub press: PressTable,
 }
 
@@ -110,7 +108,6 @@ pub struct SurfaceTable {
 
 impl SurfaceTable {
     /// Edge of the spray, if a height is given.
-    #[must_use]
     pub fn spray_edge(&self) -> Option<SprayEdge> {
         /// Roughness of the edge of sprayed paint, mm.
         const RAGGED_MM: f64 = 0.15;
@@ -166,7 +163,6 @@ pub struct HeadTable {
     pub core_drift_px: f64,
 }
 
-/// The camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraTable {
@@ -178,11 +174,9 @@ pub struct CameraTable {
     pub gige_trouble: Option<Given<Trouble>>,
 }
 
-/// The press.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PressTable {
-    /// Strokes per minute.
     #[serde(deserialize_with = "strokes_per_minute")]
     pub strokes_per_minute: f64,
     /// Fraction of a stroke during which the press counts as open.
@@ -253,7 +247,6 @@ impl FromStr for EncoderSaw {
 
 /// Why a bench file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum BenchFileError {
     /// The operating system returned an error, or the file is not text.
     #[error("cannot read the bench file {}: {source}", path.display())]

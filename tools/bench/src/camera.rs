@@ -27,7 +27,6 @@ use crate::world::{PatternSpec, ViewState, World};
 /// A camera fault at one frame of every capture, or of the first capture only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameFault {
-    /// Kind of fault.
     pub kind: FrameFaultKind,
     /// Index of the frame since arming, from 0.
     pub frame: u32,
@@ -144,9 +143,6 @@ pub(crate) fn give_way() {
 }
 
 /// Starts the camera thread for a world; frames go to the sink that `open` returns. With `gives_way`, it runs at low priority.
-///
-/// # Errors
-/// Errors of `open`.
 pub fn start<S: FrameSink>(
     world: World,
     patterns: Vec<PatternSpec>,

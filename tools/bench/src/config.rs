@@ -218,7 +218,6 @@ impl DieArgs {
 
 impl BenchSetup {
     /// Largest number of reflections at the die.
-    #[must_use]
     pub fn bounces(&self) -> u32 {
         let said = self.file.surface.bounces;
         said.unwrap_or_else(|| self.surface.bounces())

@@ -259,7 +259,6 @@ impl Damage {
     }
 
     /// Name of the shape.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         self.shape.name()
     }

@@ -15,14 +15,12 @@ const HEADER_BYTES: u64 = 1 << 16;
 
 /// Why a file is not a die.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum DieFileError {
     /// The file cannot be read.
     #[error("cannot read the mesh of the die {}: {cause}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Cause.
         cause: std::io::Error,
     },
     /// The path is a folder, a device or a pipe.
@@ -70,7 +68,6 @@ pub enum DieFileError {
     Mesh {
         /// The file.
         path: PathBuf,
-        /// Cause.
         cause: MeshFileError,
     },
     /// The mesh cannot be used on the bench.
@@ -78,7 +75,6 @@ pub enum DieFileError {
     World {
         /// The file.
         path: PathBuf,
-        /// Cause.
         cause: WorldError,
     },
 }

@@ -69,7 +69,6 @@ pub struct Hello {
 
 impl Hello {
     /// Interval at which the host must send heartbeats, in real time.
-    #[must_use]
     pub fn heartbeat(&self) -> Duration {
         Duration::from_micros(self.heartbeat_us)
     }
@@ -96,7 +95,6 @@ pub struct Farewell {
 
 impl Farewell {
     /// A line for the user if the bench did not keep up with real time.
-    #[must_use]
     pub fn notice(&self) -> Option<String> {
         let late_ms = self.held_ms + self.lagged_ms;
         (late_ms > 20.0).then(|| {

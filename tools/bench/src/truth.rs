@@ -37,7 +37,6 @@ pub struct ZonePlace {
 /// The mesh used instead of the CAD.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeshTruth {
-    /// The file.
     pub file: String,
     /// Number of triangles with area.
     pub triangles: usize,

@@ -33,9 +33,7 @@ const LEAST_DISC_SHARE: f64 = 0.5;
 pub struct Judged {
     /// Facets of the drawing, mm.
     pub cad: Mesh,
-    /// Its gear.
     pub gear: GearSpec,
-    /// Flanks.
     pub flanks: Vec<FlankId>,
     /// Smallest and largest radius, mm.
     pub radius_mm: [f64; 2],

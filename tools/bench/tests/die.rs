@@ -53,7 +53,6 @@ fn outside_mm(gear: &GearSpec, id: FlankId, p: [f64; 3]) -> f64 {
     gear.base_radius_mm() * (angle - gear.tooth_half_angle_rad(radius))
 }
 
-/// Vertices of one flank of a die.
 fn flank_vertices(die: &Die, id: FlankId) -> Vec<[f64; 3]> {
     let of_flank = (0..die.mesh().triangles.len()).filter(|&t| die.flank(t) == Some(id));
     let mut vertices: Vec<u32> = of_flank.flat_map(|t| die.mesh().triangles[t]).collect();

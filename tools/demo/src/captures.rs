@@ -21,7 +21,6 @@ pattern_set = \"insitu12\"
 dark_first = true
 ";
 
-/// One view of the target.
 #[derive(Clone, Debug)]
 pub struct TargetView {
     /// Its folder of images.

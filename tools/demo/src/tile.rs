@@ -27,9 +27,6 @@ pub fn core_map() -> anyhow::Result<CoreMap> {
 }
 
 /// The same of any head.
-///
-/// # Errors
-/// As [`core_map`].
 pub fn core_map_of(made: &HeadDesign) -> anyhow::Result<CoreMap> {
     let world = World::new(&tile_in_focus(made))?;
     let flat = flat_field(&world, made)?;

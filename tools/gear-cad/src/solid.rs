@@ -37,7 +37,6 @@ pub struct Mesh {
 
 /// Why no mesh was made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum MeshError {
     /// The gear itself is impossible.
     #[error(transparent)]
@@ -69,19 +68,14 @@ pub enum MeshError {
     TooLarge {
         /// Vertices needed.
         got: u64,
-        /// Most.
         max: u64,
     },
-    /// The outline crosses itself.
     #[error(
         "the outline of a {teeth}-tooth gear crosses itself between root {root_radius_mm} mm and tip {tip_radius_mm} mm"
     )]
     OutlineCrosses {
-        /// Teeth.
         teeth: u32,
-        /// Root radius, mm.
         root_radius_mm: f64,
-        /// Tip radius, mm.
         tip_radius_mm: f64,
     },
 }

@@ -47,14 +47,12 @@ pub struct GearSpec {
 
 /// Why a [`GearSpec`] describes no gear.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum SpecError {
     /// A number is NaN or infinite.
     #[error("{name} is {value}; a finite number is needed")]
     NotFinite {
         /// Field at fault.
         name: &'static str,
-        /// Its value.
         value: f64,
     },
     /// Too few teeth for an involute gear, or more than a mesh can index.

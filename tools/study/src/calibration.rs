@@ -57,7 +57,6 @@ impl Calibrated {
 
 /// The true head for a calibration.
 pub(super) struct Rig {
-    /// Design of the head.
     made: HeadDesign,
     /// Its true lenses.
     pub optics: HeadOptics,

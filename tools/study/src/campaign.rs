@@ -20,7 +20,6 @@ const DEEPEST_UM: f64 = 120.0;
 /// One damage, its true values, and the finding.
 #[derive(Clone, Debug)]
 pub struct Judgement {
-    /// Its shape.
     pub shape: &'static str,
     /// True values in the zone, by exact distances.
     pub truth: ZoneTruth,

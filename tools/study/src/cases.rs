@@ -42,7 +42,6 @@ pub struct Case {
     pub name: String,
     /// Group of cases that one table shows.
     pub group: Group,
-    /// Damage.
     pub damage: Damaged,
     /// Use of the right flank's result.
     pub right: Right,

@@ -86,7 +86,6 @@ impl Family {
 /// One judged item: a flank, or for [`Family::Neighbours`] a check; its true values and the finding.
 #[derive(Clone, Debug)]
 pub struct Draw {
-    /// Its family.
     pub family: Family,
     /// Number of its head.
     pub head: u32,
@@ -102,19 +101,16 @@ pub struct Draw {
 
 impl Draw {
     /// Whether the true wear exceeds the stop limit.
-    #[must_use]
     pub fn is_beyond(&self) -> bool {
         self.truth_um > LIMIT_UM
     }
 
     /// Whether it got a "go" although the true wear exceeds the stop limit.
-    #[must_use]
     pub fn is_false_go(&self) -> bool {
         self.is_beyond() && self.word == Word::Go
     }
 
     /// Whether the true value is within the interval or bound stated for a flank; `None` if none is stated.
-    #[must_use]
     pub fn holds(&self) -> Option<bool> {
         let found = self.found.as_ref()?;
         if let Some(least_um) = found.at_least_um {
@@ -126,7 +122,6 @@ impl Draw {
     }
 
     /// A line of text.
-    #[must_use]
     pub fn line(&self) -> String {
         let mut line = format!(
             "{}: {}, true {:.1} um, {}",

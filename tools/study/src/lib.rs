@@ -123,7 +123,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 impl Args {
     /// Name of the pattern set: on bare steel frequencies that the light between two flanks cannot carry.
-    #[must_use]
     pub fn patterns(&self) -> &str {
         let of_head = || Some(self.head.as_ref()?.optics.pattern_set.as_str());
         let given = self.patterns.as_deref().or_else(of_head);

@@ -50,13 +50,11 @@ impl Sample {
     }
 
     /// Whether the flank got "go" or "warn".
-    #[must_use]
     pub fn passed(&self) -> bool {
         self.is(&["go", "warn"])
     }
 
     /// Whether the flank got "warn" or "no-go".
-    #[must_use]
     pub fn alarmed(&self) -> bool {
         self.is(&["warn", "no-go"])
     }
@@ -159,19 +157,16 @@ impl Cell {
     }
 
     /// Mean of the truth, µm.
-    #[must_use]
     pub fn truth_um(&self) -> f64 {
         Self::mean(self.samples.iter().map(|s| s.truth_um))
     }
 
     /// Mean error, µm.
-    #[must_use]
     pub fn bias_um(&self) -> f64 {
         Self::mean(self.errors_um().map(|e| e[0]))
     }
 
     /// Standard deviation of the error, µm.
-    #[must_use]
     pub fn spread_um(&self) -> f64 {
         let mean = self.bias_um();
         let n = self.errors_um().count() as f64;
@@ -180,7 +175,6 @@ impl Cell {
     }
 
     /// Largest absolute error, µm.
-    #[must_use]
     pub fn worst_um(&self) -> f64 {
         self.errors_um().map(|e| e[0].abs()).fold(0.0, f64::max)
     }
@@ -194,26 +188,22 @@ impl Cell {
     }
 
     /// Fraction of values whose 95 % interval contains the true value.
-    #[must_use]
     pub fn coverage(&self) -> f64 {
         let held = self.held();
         held.hits as f64 / held.of as f64
     }
 
     /// Mean detection limit stated by the instrument, µm.
-    #[must_use]
     pub fn detection_limit_um(&self) -> f64 {
         Self::mean(self.figures().map(|f| f.detection_limit_um))
     }
 
     /// Mean expanded uncertainty stated by the instrument, µm.
-    #[must_use]
     pub fn u95_um(&self) -> f64 {
         Self::mean(self.figures().map(|f| f.u95_um))
     }
 
     /// Numbers of go, warn, no-go, indeterminate.
-    #[must_use]
     pub fn verdicts(&self) -> [usize; 4] {
         ["go", "warn", "no-go", "indeterminate"]
             .map(|word| self.samples.iter().filter(|s| s.is(&[word])).count())

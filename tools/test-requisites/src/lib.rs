@@ -1,6 +1,7 @@
-//! What tests need that is not in the repository: other people's data, board images, an emulator.
+//! What tests of several crates need: other people's data, board images and an emulator, none of which are in the repository; and random
+//! numbers.
 //!
-//! A test asks for what it needs and returns when that is not there: missed aloud, and a failure where everything must run
+//! A test asks for data or a program and returns when that is not there: missed aloud, and a failure where everything must run
 //! (`cargo xtask test --all`).
 
 use std::path::{Path, PathBuf};
@@ -28,6 +29,25 @@ translation_mm = [11.0, 0.0, 0.0]
 centre_px = [959.5, 599.5]
 radius_px = 575.0
 "#;
+
+/// Random numbers that do not come from the code under test: Knuth's linear congruential generator (MMIX), from this state.
+pub struct Random(pub u64);
+
+impl Random {
+    /// Uniform in [0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Nearly normal with a standard deviation of one: the sum of twelve uniform numbers less six.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}
 
 /// Whether everything must run: nothing may be missed, and campaigns draw as many cases as they state.
 #[must_use]

@@ -159,6 +159,7 @@ const ROOMS: &[Room] = &[
 /// frames, which the bench's fault campaign asks whether it takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
     (CONTROLLER, &[TEST_REQUISITES]),
+    (PROFILOMETRY, &[TEST_REQUISITES]),
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
     (INSTRUMENT, &[TEST_REQUISITES]),

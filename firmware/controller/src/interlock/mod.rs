@@ -142,37 +142,31 @@ impl Interlock {
     }
 
     /// Phase and flags.
-    #[must_use]
     pub fn state(&self) -> State {
         self.state
     }
 
     /// What it says.
-    #[must_use]
     pub fn outputs(&self) -> Outputs {
         rules::outputs(self.state)
     }
 
     /// Press cycles since power-up.
-    #[must_use]
     pub fn cycles(&self) -> u32 {
         self.cycles
     }
 
     /// The signals as last looked at.
-    #[must_use]
     pub fn levels(&self) -> Levels {
         self.levels
     }
 
     /// Both channels said that the press is open.
-    #[must_use]
     pub fn press_open(&self) -> bool {
         self.levels.press_open_a && !self.levels.press_open_b
     }
 
     /// Why the head could not enter if it were ordered to now.
-    #[must_use]
     pub fn objection(&self) -> Option<Fault> {
         let inputs = Inputs {
             cycle_began: false,

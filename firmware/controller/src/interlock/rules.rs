@@ -68,7 +68,6 @@ pub struct Inputs {
 
 impl Inputs {
     /// Both channels say that the press is open.
-    #[must_use]
     pub fn press_open(&self) -> bool {
         self.press_open_a && !self.press_open_b
     }
@@ -94,7 +93,6 @@ pub enum Phase {
 /// State between steps. Whether a time runs follows from it: `disagrees`, `contradicts`, and two of the phases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct State {
-    /// Phase.
     pub phase: Phase,
     /// The press-open channels disagree.
     pub disagrees: bool,

@@ -63,7 +63,6 @@ impl VerdictLamp {
     }
 
     /// When the lines change next by themselves.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp> {
         Some(self.stale_at?.min(self.beat_at))
     }

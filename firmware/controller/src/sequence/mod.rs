@@ -219,55 +219,46 @@ impl Sequence {
     }
 
     /// What is true of the instrument.
-    #[must_use]
     pub fn config(&self) -> &Config {
         &self.config
     }
 
     /// The stages as they are in force: since the last reference run.
-    #[must_use]
     pub fn stage(&self) -> &StageConfig {
         &self.stage
     }
 
     /// The stages as they are from the next reference run on.
-    #[must_use]
     pub fn stage_to_be(&self) -> &StageConfig {
         self.next_stage.as_ref().unwrap_or(&self.stage)
     }
 
     /// What plans are judged by: the compiled limits, and the travel of the stages.
-    #[must_use]
     pub fn plan_limits(&self) -> Limits {
         self.config.limits.within(self.stage_to_be())
     }
 
     /// Other stages were configured since the last reference run.
-    #[must_use]
     pub fn must_home(&self) -> bool {
         self.next_stage.is_some()
     }
 
     /// The stored plan.
-    #[must_use]
     pub fn plan(&self) -> Option<&CapturePlan> {
         self.plan.as_ref()
     }
 
     /// The fault that waits for its acknowledgement.
-    #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
     /// Both axes are referenced.
-    #[must_use]
     pub fn homed(&self) -> bool {
         self.homed
     }
 
     /// What the host is told.
-    #[must_use]
     pub fn state(&self) -> State {
         match self.step {
             Step::Unhomed => State::Unhomed,
@@ -293,7 +284,6 @@ impl Sequence {
     }
 
     /// A capture is under way: the host must be alive, the head may be in the die.
-    #[must_use]
     pub fn capturing(&self) -> bool {
         matches!(
             self.state(),
@@ -341,7 +331,6 @@ impl Sequence {
     }
 
     /// Which pins to watch.
-    #[must_use]
     pub fn awaiting(&self) -> Awaiting {
         Awaiting {
             led_sense: self.lamps.awaits(),
@@ -361,7 +350,6 @@ impl Sequence {
     }
 
     /// When to call [`Sequence::step`] with [`Input::Tick`] at the latest.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp> {
         let step = match self.step {
             Step::Exposing { end, begin_by } => {

@@ -145,7 +145,6 @@ impl Rig {
         }
     }
 
-    /// Homed, with a plan.
     fn homed(config: Config, plan: CapturePlan) -> Self {
         let mut rig = Self::new(config);
         rig.order(|sequence, now, out| sequence.home(now, out));

@@ -86,7 +86,6 @@ pub struct Pose {
 /// What became of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StageReport {
-    /// Of a motion.
     Motion {
         /// Which request.
         ticket: u16,

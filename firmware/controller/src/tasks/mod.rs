@@ -30,7 +30,6 @@ pub const EVENTS_QUEUED: usize = 64;
 pub struct Request {
     /// Addressing of its frame.
     pub header: Header,
-    /// The command.
     pub command: Option<Command>,
 }
 

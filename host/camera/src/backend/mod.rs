@@ -20,9 +20,7 @@ pub struct Description {
     pub model: String,
     /// By what it is connected, and its serial number.
     pub link: String,
-    /// Width, px.
     pub width_px: u32,
-    /// Height, px.
     pub height_px: u32,
     /// Bits of a sample.
     pub bits: u32,
@@ -84,7 +82,6 @@ pub struct Status {
 
 /// What a camera does wrong.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CameraError {
     /// It is not there, or not any more.
     #[error("the camera is gone: {reason}")]

@@ -12,7 +12,6 @@ use flankscope_frames::{ReceiveError, ServiceError};
 
 /// Why nothing could be captured at all. Errors after a capture has begun are a [`Stop`] or a [`ViewError`].
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum AcquisitionError {
     /// The shared-memory services of the frames could not be opened.
     #[error(transparent)]
@@ -23,10 +22,8 @@ pub enum AcquisitionError {
     /// The program has more views, exposures or sets than a capture plan holds.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// The plan breaks the controller's limits.
     #[error("the controller's limits do not allow the plan: {0}")]
     Plan(#[from] PlanError),
-    /// A thread ended early.
     #[error("the {thread} thread ended early")]
     Thread {
         /// Name of the thread.
@@ -35,7 +32,6 @@ pub enum AcquisitionError {
     /// The operator interrupted the run.
     #[error("interrupted")]
     Interrupted,
-    /// The head file has a liquid lens, but the controller has no lens driver.
     #[error(
         "the head's file has a [lens], and the controller found no lens driver when it started: is the driver powered, wired as in firmware/README.md, and the controller reset since?"
     )]
@@ -45,7 +41,6 @@ pub enum AcquisitionError {
         "the head's file has {needed} projectors, and the controller found {fitted} when it started: is the second one plugged in, wired as in firmware/README.md, and the controller reset since?"
     )]
     TooFewProjectors {
-        /// Projectors of the head.
         needed: usize,
         /// Projectors that the controller switches.
         fitted: u8,
@@ -66,10 +61,7 @@ pub enum AcquisitionError {
     #[error(
         "the controller stands in {fault}; clear the cause and acknowledge it (flankscope doctor --acknowledge-fault)"
     )]
-    Faulted {
-        /// Its fault.
-        fault: FaultCode,
-    },
+    Faulted { fault: FaultCode },
 }
 
 impl AcquisitionError {
@@ -107,13 +99,11 @@ pub enum Stop {
     /// The link to the controller, or a thread, failed during the capture.
     #[error(transparent)]
     Broken(#[from] AcquisitionError),
-    /// The hold limit of the press was reached.
     #[error("the check did not fit into the time for which the press may be held")]
     HoldLimit,
     /// The camera cannot be used, and nothing has moved.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The capture thread does not answer.
     #[error("the capture thread does not answer")]
     Stalled,
     /// The operator interrupted the run.
@@ -123,7 +113,6 @@ pub enum Stop {
 
 /// Why the camera cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum CameraError {
     /// The camera process cannot be reached over shared memory.
     #[error("the camera process cannot be reached: {reason}")]
@@ -139,7 +128,6 @@ pub enum CameraError {
         /// Last known state of the camera.
         state: &'static str,
     },
-    /// The camera differs from the one in the head file.
     #[error(
         "the camera {model} has {got} {of}, the head file says {expected}: it is another camera, or set otherwise"
     )]
@@ -170,19 +158,13 @@ pub enum ViewError {
     /// The camera process is labelling another session.
     #[error("a frame of session {got} came during session {expected}")]
     Session {
-        /// Session of the frame.
         got: u32,
         /// Session armed.
         expected: u32,
     },
     /// Frames are missing at the end of the capture.
     #[error("only {got} of {planned} frames came")]
-    Incomplete {
-        /// Frames that came.
-        got: usize,
-        /// Frames planned.
-        planned: usize,
-    },
+    Incomplete { got: usize, planned: usize },
     /// No recorded frames of this view exist.
     #[error("the recording has no frames of {of}")]
     NotRecorded {

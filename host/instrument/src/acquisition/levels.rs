@@ -13,7 +13,6 @@ pub struct LevelHistogram {
 }
 
 impl LevelHistogram {
-    /// Adds pixels.
     pub fn add(&mut self, pixels_dn: &[u16]) {
         for level in pixels_dn.iter().map(|&dn| usize::from(dn)) {
             if level >= self.counts.len() {
@@ -24,7 +23,6 @@ impl LevelHistogram {
     }
 
     /// Number of pixels.
-    #[must_use]
     pub fn pixels(&self) -> u64 {
         self.counts.iter().sum()
     }

@@ -20,12 +20,7 @@ pub enum PairingError {
     },
     /// The camera skipped or repeated a number.
     #[error("frame {got} came where frame {expected} was due")]
-    Counter {
-        /// Counter that came.
-        got: u32,
-        /// Counter expected.
-        expected: u32,
-    },
+    Counter { got: u32, expected: u32 },
     /// Controller and camera name different patterns.
     #[error(
         "the controller fired pattern {fired} as frame {frame} of the view, the camera took it for pattern {taken}"
@@ -45,7 +40,6 @@ pub enum PairingError {
         frame: usize,
         /// Camera's exposure.
         got_us: u64,
-        /// Commanded exposure.
         commanded_us: u64,
     },
     /// A trigger or frame was late by more than the limit.

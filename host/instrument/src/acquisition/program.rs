@@ -71,7 +71,6 @@ pub struct Program {
 
 /// Why a program cannot be written as a capture plan.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ProgramError {
     /// More entries than a plan holds.
     #[error("{got} {what} are too many for one capture; at most {limit}")]
@@ -95,7 +94,6 @@ pub enum ProgramError {
 
 impl StagePosition {
     /// The position in the units of the wire protocol.
-    #[must_use]
     pub fn view(&self) -> View {
         View {
             rotation: Microradians((self.rotation_rad * 1e6).round() as i32),
@@ -107,7 +105,6 @@ impl StagePosition {
 impl Program {
     /// Time for the frames of a view, s. Each takes an exposure with the pattern's settling time before it, or the readout of the
     /// frame before it if that is longer.
-    #[must_use]
     pub fn exposure_s(&self) -> f64 {
         let patterns: u32 = self.patterns.sets.iter().map(|set| set.steps).sum();
         let frame_us = |&exposure_us: &u32| {
@@ -120,13 +117,11 @@ impl Program {
     }
 
     /// How many times the pattern set is shown per view.
-    #[must_use]
     pub fn passes(&self) -> usize {
         self.lit_ratios.len().max(1)
     }
 
     /// Settling time of stages and die after a move, s.
-    #[must_use]
     pub fn settling_s(&self) -> f64 {
         f64::from(self.timing.settle_ms) / 1e3
     }

@@ -55,7 +55,6 @@ pub enum Order {
 pub struct CapturedView {
     /// View number in the session.
     pub view: u16,
-    /// The sums.
     pub sums: ViewSums,
     /// Headers of the frames, in order of arrival.
     pub frames: Vec<FrameHeader>,

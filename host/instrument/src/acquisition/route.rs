@@ -40,13 +40,11 @@ struct Stay {
 
 impl RouteTime {
     /// Sum of all parts, s.
-    #[must_use]
     pub fn total_s(&self) -> f64 {
         self.parts().iter().map(|(_, part_s)| part_s).sum()
     }
 
     /// Name of the largest part.
-    #[must_use]
     pub fn bound(&self) -> &'static str {
         let [first, rest @ ..] = self.parts();
         let largest = rest.into_iter().fold(

@@ -83,20 +83,17 @@ impl Timeline {
     }
 
     /// Time from the first event to the latest by the controller's clock, without the time in which the press was not held.
-    #[must_use]
     pub fn elapsed(&self) -> Duration {
         let all = Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)));
         all.saturating_sub(Duration::from_secs_f64(self.free_ms / 1e3))
     }
 
     /// Time spent moving and settling, ms.
-    #[must_use]
     pub fn positioning_ms(&self) -> f64 {
         sum(self.moving.iter().chain(&self.settling))
     }
 
     /// Sum of the exposures, ms.
-    #[must_use]
     pub fn exposure_ms(&self) -> f64 {
         sum(self.camera.iter())
     }

@@ -52,7 +52,6 @@ impl Default for ClientSettings {
 
 /// Why the controller cannot be used. Link errors, refusals and invalid replies are told apart.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ClientError {
     /// The link failed.
     #[error(transparent)]
@@ -65,7 +64,6 @@ pub enum ClientError {
         /// Longest wait for an answer, ms.
         waited_ms: u128,
     },
-    /// Bytes came, but no answer.
     #[error(
         "bytes come from the port, but no answer: {damaged} damaged messages in {waited_ms} ms (another speed, another device, or noise on the line?)"
     )]
@@ -98,7 +96,6 @@ pub enum ClientError {
     /// An event is missing from the record.
     #[error("{missing} event(s) before number {sequence} are missing")]
     EventsMissing {
-        /// Number of missing events.
         missing: u16,
         /// Number of the event after the gap.
         sequence: u16,
@@ -108,7 +105,6 @@ pub enum ClientError {
         "event number {sequence} came after number {last}: it was doubled on the line, or is of another controller"
     )]
     EventRepeated {
-        /// Number of the event.
         sequence: u16,
         /// Number of the latest event before it.
         last: u16,
@@ -136,9 +132,7 @@ pub struct Client {
     last_event: u16,
     /// Time waited since the controller was last heard.
     unheard: Duration,
-    /// Frames that could not be decoded.
-    dropped: u64,
-    /// Of those, since the last answer.
+    /// Frames that arrived damaged since the last answer.
     dropped_unheard: u64,
 }
 
@@ -173,7 +167,6 @@ impl Client {
             events: VecDeque::new(),
             last_event: 0,
             unheard: Duration::ZERO,
-            dropped: 0,
             dropped_unheard: 0,
         };
         let hello = Command::Hello {
@@ -210,15 +203,8 @@ impl Client {
     }
 
     /// Identity and limits that the controller reported.
-    #[must_use]
     pub fn identity(&self) -> &Identity {
         &self.identity
-    }
-
-    /// Frames that arrived damaged and were dropped.
-    #[must_use]
-    pub fn frames_dropped(&self) -> u64 {
-        self.dropped
     }
 
     /// Sends a command that is answered by "accepted".
@@ -279,19 +265,16 @@ impl Client {
     }
 
     /// Signals that the operator wants the run to end.
-    #[must_use]
     pub fn interrupt(&self) -> Interrupt {
         self.settings.interrupt.clone()
     }
 
     /// Longest silence before the link counts as lost.
-    #[must_use]
     pub fn silence(&self) -> Duration {
         self.settings.silence
     }
 
     /// Largest delay allowed of triggers and frames; `None` if the controller's clock is not real time.
-    #[must_use]
     pub fn stall_limit(&self) -> Option<Duration> {
         self.settings.stall
     }
@@ -422,7 +405,6 @@ impl Client {
             }
             Incoming::Event(..) => {}
             Incoming::Dropped(reason) => {
-                self.dropped += 1;
                 self.dropped_unheard += 1;
                 tracing::warn!(%reason, "dropped a damaged frame");
             }

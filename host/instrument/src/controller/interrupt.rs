@@ -32,7 +32,6 @@ impl Interrupt {
     }
 
     /// Whether the interruption was requested.
-    #[must_use]
     pub fn is_requested(&self) -> bool {
         *self.0.borrow()
     }

@@ -23,14 +23,11 @@ const LETTING_GO: Duration = Duration::from_millis(200);
 
 /// Why there is no link.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum LinkError {
-    /// The port cannot be opened.
     #[error(
         "cannot open the port {port}: {source} (is the controller plugged in, and the port free?)"
     )]
     Open {
-        /// The port.
         port: String,
         /// The driver's reason.
         source: serialport::Error,

@@ -43,7 +43,6 @@ impl Health {
 pub struct Finding {
     /// Name of the item.
     pub check: &'static str,
-    /// Its health.
     pub health: Health,
     /// Observation, in words.
     pub seen: String,
@@ -108,7 +107,6 @@ impl Finding {
     }
 
     /// One line: health, item, observation, remedy.
-    #[must_use]
     pub fn line(&self) -> String {
         let remedy = self.remedy.as_ref().map(|remedy| format!(" -> {remedy}"));
         format!(

@@ -37,7 +37,6 @@ pub struct Adaptive {
     pub loading: Vec<Loading>,
 }
 
-/// One pass.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pass {
     /// Surfaces that it lights; also names the folder of its pictures and their `patterns.json`.
@@ -86,9 +85,6 @@ impl CaptureTime {
 }
 
 /// Writes a folder of pictures for each pass and `adaptive.json`.
-///
-/// # Errors
-/// [`PatternsError`].
 pub fn write_adaptive(
     folder: &Path,
     set: &PatternSet,
@@ -218,7 +214,6 @@ impl Adaptive {
 
 /// Why pictures in passes cannot be used in a check.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum AdaptiveError {
     /// `adaptive.json` cannot be read.
     #[error("{}: {reason}; `flankscope patterns --adaptive TOOL --tooth N -o DIR` writes it", path.display())]
@@ -228,7 +223,6 @@ pub enum AdaptiveError {
         /// Why it cannot be used.
         reason: String,
     },
-    /// The head has two projectors, and passes need one.
     #[error(
         "the head has two projectors, which show whole patterns one after the other; passes are for a head with one"
     )]
@@ -245,19 +239,13 @@ pub enum AdaptiveError {
     #[error(
         "the pictures show {got}, the head file says pattern_set = {expected:?}; make them anew"
     )]
-    Set {
-        /// Set of the pictures.
-        got: String,
-        /// Set in the head file.
-        expected: String,
-    },
+    Set { got: String, expected: String },
     /// The pictures are for another DMD.
     #[error("the pictures are of other mirrors than the head file's; make them anew")]
     Mirrors,
     /// The passes are not the known ones.
     #[error("the passes are not left, right and rest, in this order; make the pictures anew")]
     Regions,
-    /// A pass lights no mirror.
     #[error(
         "the pass of {lights} lights no mirror: what it is for does not lie in the view; check without --adaptive"
     )]
@@ -277,9 +265,7 @@ pub enum AdaptiveError {
         dark: usize,
         /// Surfaces that they light.
         lights: &'static str,
-        /// Tooth that the pictures were made for.
         made_for: u32,
-        /// Margin of the pictures, mm.
         margin_mm: f64,
     },
     /// The passes cannot be computed from drawing and head.

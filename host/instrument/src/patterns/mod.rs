@@ -64,11 +64,9 @@ pub struct Manifest {
     pub black: &'static str,
     /// The patterns, from number 1 on.
     pub patterns: Vec<Pattern>,
-    /// The pictures.
     pub files: Vec<Picture>,
 }
 
-/// One pattern.
 #[derive(Clone, Debug, Serialize)]
 pub struct Pattern {
     /// Its number in a capture plan.
@@ -126,7 +124,6 @@ impl Content {
     }
 }
 
-/// One picture.
 #[derive(Clone, Debug, Serialize)]
 pub struct Picture {
     /// File name.
@@ -137,7 +134,6 @@ pub struct Picture {
 
 /// Why pictures could not be made.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PatternsError {
     /// A file cannot be written.
     #[error("{}: {source}", path.display())]
@@ -152,9 +148,7 @@ pub enum PatternsError {
     Encode {
         /// Mirrors per row.
         columns: u32,
-        /// Rows.
         rows: u32,
-        /// Reason.
         reason: String,
     },
 }
@@ -190,9 +184,6 @@ pub fn brightness(set: &PatternSet, picture: Shown, mirrors: Mirrors) -> Vec<u8>
 }
 
 /// Writes the pictures of a set and `patterns.json` into a folder, which is created.
-///
-/// # Errors
-/// [`PatternsError`].
 pub fn write(
     folder: &Path,
     set: &PatternSet,

@@ -79,7 +79,6 @@ pub struct Passes {
 
 /// Why the passes cannot be computed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PassesError {
     /// The tool or head file lacks an entry.
     #[error("{what} is missing; adaptive patterns need it (see docs/formats)")]
@@ -98,7 +97,6 @@ pub enum PassesError {
         /// Requested margin, mm.
         got: f64,
     },
-    /// No mirror of the projector lights either flank.
     #[error(
         "no mirror lights a flank of tooth {tooth}: check height, hand-eye and projector_from_camera"
     )]
@@ -110,9 +108,6 @@ pub enum PassesError {
 
 impl Passes {
     /// Casts the ray of every block of mirrors on the drawing.
-    ///
-    /// # Errors
-    /// [`PassesError`].
     pub fn new(
         tool: &Tool,
         head: &HeadModel,
@@ -198,19 +193,16 @@ impl Passes {
     }
 
     /// Layout of the mirrors.
-    #[must_use]
     pub fn mirrors(&self) -> Mirrors {
         self.mirrors
     }
 
     /// Position of the stages.
-    #[must_use]
     pub fn view(&self) -> &PlannedView {
         &self.view
     }
 
     /// Distance by which a pass extends beyond its own flanks, mm.
-    #[must_use]
     pub fn margin_mm(&self) -> f64 {
         self.margin_mm
     }

@@ -50,7 +50,6 @@ impl StatedPoses {
         self.lock().remove(&view);
     }
 
-    /// The pose of a view.
     pub fn of(&self, view: usize) -> Option<StatedPose> {
         self.lock().get(&view).cloned()
     }
@@ -78,12 +77,9 @@ impl FromIterator<(usize, StatedPose)> for StatedPoses {
 
 /// Why a view has no pose.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PoseError {
-    /// The program could not be started.
     #[error("the pose program {program} could not be started: {source}")]
     Start {
-        /// The program.
         program: String,
         /// Error of the operating system.
         source: std::io::Error,
@@ -94,7 +90,6 @@ pub enum PoseError {
         /// View, from 1.
         view: usize,
     },
-    /// The program did not answer in time.
     #[error("the pose program did not answer for view {view} within {limit_s} s")]
     Late {
         /// View, from 1.
@@ -129,7 +124,6 @@ pub enum PoseError {
     OtherView {
         /// View asked for, from 1.
         view: usize,
-        /// View answered.
         got: usize,
     },
     /// The matrix is not a pose.
@@ -171,7 +165,6 @@ pub enum PoseError {
     NobodyMoves {
         /// The table.
         path: PathBuf,
-        /// Views of the check.
         views: usize,
     },
     /// The table has no line for a tooth.
@@ -179,7 +172,6 @@ pub enum PoseError {
     NotListed {
         /// The table.
         path: PathBuf,
-        /// The tooth.
         tooth: u32,
     },
     /// The table cannot be read.
@@ -259,7 +251,6 @@ impl Default for PoseSettings {
 
 impl PoseSettings {
     /// Whether the poses come from a source other than the stages.
-    #[must_use]
     pub fn is_some(&self) -> bool {
         self.file.is_some() || !self.command.is_empty()
     }
@@ -286,7 +277,6 @@ impl PoseSettings {
 pub enum PoseSource {
     /// A file.
     Table(PoseTable),
-    /// A program.
     Program(PoseProgram),
 }
 

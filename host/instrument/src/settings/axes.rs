@@ -20,14 +20,12 @@ pub struct StageLine {
     pub parity: ParityBit,
     /// Stop bits of a character.
     pub stop_bits: u8,
-    /// Flow control.
     pub flow_control: Flow,
 }
 
 /// Parity of a character.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum ParityBit {
     None,
     Even,
@@ -37,7 +35,6 @@ pub enum ParityBit {
 /// Flow control of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Flow {
     None,
     RtsCts,
@@ -46,7 +43,6 @@ pub enum Flow {
 /// Signal that referencing searches for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Home {
     SwitchAndIndex,
     Switch,

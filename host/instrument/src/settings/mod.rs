@@ -32,17 +32,12 @@ pub struct StationSettings {
     /// Name of the station, written into every result.
     #[serde(deserialize_with = "flankscope_foundation::display::some_name")]
     pub name: Option<String>,
-    /// The controller.
     pub controller: Controller,
-    /// The camera.
     pub camera: Camera,
-    /// The press.
     pub press: Press,
-    /// The light.
     pub light: Light,
     /// Settling and readout times of a capture.
     pub timing: Timing,
-    /// The stages.
     pub stages: Stages,
     /// Where checks are stored.
     pub history: Store,
@@ -78,7 +73,6 @@ pub struct Press {
     pub openings: u32,
 }
 
-/// The light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Light {
@@ -216,31 +210,26 @@ const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 impl Stages {
     /// The stage configuration that is sent to the controller.
-    #[must_use]
     pub fn config(&self) -> StageConfig {
         axes::config(&self.line, &self.rotation, &self.vertical)
     }
 
     /// Standard uncertainty of the rotary stage's angle after a move, rad.
-    #[must_use]
     pub fn rotation_sigma_rad(&self) -> f64 {
         self.rotation_error_rad() / SQRT_3
     }
 
     /// Standard uncertainty of the vertical stage's height after a move, mm.
-    #[must_use]
     pub fn vertical_sigma_mm(&self) -> f64 {
         self.vertical_error_um / 1e3 / SQRT_3
     }
 
     /// Standard uncertainty of the head's mounting: along each axis (mm) and about each axis (rad).
-    #[must_use]
     pub fn mount_sigma(&self) -> (f64, f64) {
         (self.mount_um / 1e3, self.mount_mrad / 1e3)
     }
 
     /// How far a single view of a scan may deviate from the pose that all views share; the shape of the workpiece is not included.
-    #[must_use]
     pub fn of_single_view(&self) -> Local {
         let even = 1.0 / 3f64.sqrt();
         Local {

@@ -22,12 +22,10 @@ use super::job::{SaveError, VALID_DAYS, write};
 
 /// Why images of an ordinary board do not give a head.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum BoardFolderError {
     /// Entries or files are missing or wrong; all are listed.
     #[error("{} cannot be calibrated from; it lacks:{}", folder.display(), listed(lacks))]
     Lacks {
-        /// The folder.
         folder: PathBuf,
         /// Each one with the expected value.
         lacks: Vec<String>,
@@ -178,8 +176,6 @@ impl BoardFolder {
         }
     }
 
-    /// The board.
-    #[must_use]
     pub fn board(&self) -> &Board {
         &self.board
     }
@@ -204,9 +200,6 @@ impl BoardFolder {
     }
 
     /// Writes the head file and returns its calibration section.
-    ///
-    /// # Errors
-    /// [`SaveError`].
     pub fn save(
         &self,
         adjusted: &BoardAdjusted,

@@ -71,9 +71,6 @@ impl FitnessSurvey {
 }
 
 /// Writes a self-test beside the head file.
-///
-/// # Errors
-/// [`SaveError`].
 pub fn save_self_test(test: &SelfTest, head: &Path) -> Result<(), SaveError> {
     write(SelfTest::path_of(head), test.to_toml()?.as_bytes())
 }

@@ -32,7 +32,6 @@ use flankscope_record::origin::Link;
 
 /// Why a calibration failed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CalibrationError {
     /// The captures failed.
     #[error(transparent)]
@@ -55,7 +54,6 @@ pub enum CalibrationError {
     /// The captures do not give a focus.
     #[error(transparent)]
     NotSharp(#[from] NotSharp),
-    /// The head has no lens to focus.
     #[error("the head's file has no [lens]: its focus is not driven")]
     NoLens,
     /// The setting is outside the lens's range.
@@ -77,7 +75,6 @@ pub enum CalibrationError {
 
 /// Why a head file was not written.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SaveError {
     /// The operating system returned an error.
     #[error("cannot write {}: {source}", path.display())]
@@ -87,7 +84,6 @@ pub enum SaveError {
         /// Cause.
         source: std::io::Error,
     },
-    /// The head cannot be written as TOML.
     #[error("the head cannot be put into words: {0}")]
     Toml(#[from] toml::ser::Error),
 }
@@ -298,7 +294,6 @@ impl Calibrated {
     }
 
     /// Cores of the bundle, for a head that has one.
-    #[must_use]
     pub fn cores(&self) -> Option<usize> {
         let map = self.adjusted.head.core_map.as_ref()?;
         Some(map.positions_px.len())
@@ -306,9 +301,6 @@ impl Calibrated {
 
     /// Writes the head file, and beside it the core map, if it has one. Returns the calibration section of the file, with the
     /// link through which it was made; without one for images from elsewhere.
-    ///
-    /// # Errors
-    /// [`SaveError`].
     pub fn save(
         &self,
         path: &Path,
@@ -337,9 +329,6 @@ impl Calibrated {
 pub(crate) const VALID_DAYS: u32 = 180;
 
 /// Writes a head file, and beside it the core map, if it has one, with a record of the head's geometry.
-///
-/// # Errors
-/// [`SaveError`].
 pub fn save_head(
     mut head: HeadModel,
     path: &Path,

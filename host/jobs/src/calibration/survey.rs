@@ -19,12 +19,10 @@ use flankscope_instrument::settings::StationSettings;
 
 /// Why a survey failed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SurveyError {
     /// The instrument failed.
     #[error(transparent)]
     Instrument(#[from] AcquisitionError),
-    /// The head file lacks an entry.
     #[error("the head file has no {what}; a capture needs it (see docs/formats/head.md)")]
     HeadLacks {
         /// The missing entry.

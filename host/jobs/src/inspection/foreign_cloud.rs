@@ -57,7 +57,6 @@ pub struct CloudVerdict {
     pub registration: Vec<CloudPose>,
 }
 
-/// A pose of the cloud.
 #[derive(Debug, Serialize)]
 pub struct CloudPose {
     /// The pose, row by row.

@@ -51,7 +51,6 @@ pub struct InView {
 
 impl InView {
     /// The worst verdict of its findings: worn flanks that were not requested, missing teeth. `None` without findings.
-    #[must_use]
     pub fn word(&self) -> Option<Word> {
         let missing = (!self.missing.is_empty()).then_some(Word::NoGo);
         let flanks = self.flanks.iter().filter_map(finding);

@@ -32,7 +32,6 @@ use flankscope_record::sink::{ResultSink, SinkError};
 
 /// Why a check could not run at all. Errors after it has begun give an indeterminate verdict instead.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum InspectError {
     /// The result cannot be stored, and the verdict does not state it.
     #[error(transparent)]

@@ -73,7 +73,6 @@ impl Judged {
         }
     }
 
-    /// The verdict.
     pub(crate) fn verdict(&self) -> &Verdict {
         &self.verdict
     }

@@ -49,7 +49,6 @@ const NOT_THE_RIM: f64 = 0.85;
 
 /// Why a subject cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum EvaluatorError {
     /// Tool or head lack an entry: gear, teeth to inspect or hand-eye.
     #[error("{what} is missing; a check needs it (see docs/formats)")]
@@ -69,7 +68,6 @@ pub enum EvaluatorError {
         /// Tooth of the view.
         tooth: u32,
     },
-    /// A view does not show a band of the datum.
     #[error(
         "inspect.datum_height_mm of the tool file: the view of tooth {tooth} shows its flanks from {:.1} to {:.1} mm of height, not all \
          of the band {} to {} mm; name a band within, and judge a zone that leaves room for it (inspect.zone_height_mm)",
@@ -78,7 +76,6 @@ pub enum EvaluatorError {
     DatumOutsideField {
         /// Tooth of the view.
         tooth: u32,
-        /// The band, mm.
         band_mm: [f64; 2],
         /// Visible heights, mm.
         seen_mm: [f64; 2],

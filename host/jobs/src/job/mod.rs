@@ -82,13 +82,11 @@ impl<O: Send + 'static> Job<O> {
     }
 
     /// Key of the die in a history.
-    #[must_use]
     pub fn die(&self) -> DieKey {
         self.subject.die()
     }
 
     /// For every view of the plan, the tooth or patch that it is for; the further views come last.
-    #[must_use]
     pub fn view_names(&self) -> Vec<String> {
         let features = self.subject.tool.features();
         let views = self.plan.all_views();

@@ -54,7 +54,6 @@ impl RecordedFrames {
 
 /// Why saved frames could not be made a recording.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RecordError {
     /// The operating system returned an error.
     #[error("the frames are not recorded: cannot write {}: {source}", path.display())]

@@ -54,7 +54,6 @@ pub struct ViewPlan {
 
 /// Why no plan can be made.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PlanningError {
     /// The tool file has no teeth.
     #[error(
@@ -75,16 +74,10 @@ pub enum PlanningError {
     NoSuchTooth {
         /// Requested number.
         got: u32,
-        /// Teeth of the gear.
         teeth: u32,
     },
-    /// A tooth was named twice.
     #[error("tooth {got} is named twice; once is enough")]
-    Twice {
-        /// The tooth.
-        got: u32,
-    },
-    /// The recording does not state which patch a view shows.
+    Twice { got: u32 },
     #[error(
         "view {view} of the recording does not say which patch it shows; give the patch's place in the tool file as its `tooth`"
     )]
@@ -102,18 +95,13 @@ pub enum PlanningError {
         view: usize,
         /// Tooth in the index.
         said: u32,
-        /// Tooth by the angle.
         seen: u32,
     },
     /// Two captures of a tooth are from different positions, so the second is no repetition.
     #[error(
         "tooth {tooth} is in the recording twice, from two places; a second capture of a view is taken from the place of the first"
     )]
-    Elsewhere {
-        /// The tooth.
-        tooth: u32,
-    },
-    /// The head would touch the teeth of an external gear on its way.
+    Elsewhere { tooth: u32 },
     #[error(
         "the head's window comes as near as {nearest_mm:.1} mm to the axis and the teeth reach out to {tip_mm:.1} mm: it would touch \
          them between {} and {} mm of height; an external gear is looked at from outside: correct stage_from_camera of the head file, \
@@ -127,7 +115,6 @@ pub enum PlanningError {
         /// Heights that the head passes, mm.
         heights_mm: [f64; 2],
     },
-    /// The head would touch the teeth on its way.
     #[error(
         "the head's window reaches {reach_mm:.1} mm from the axis and the bore is open to {bore_mm:.1} mm: it would touch the teeth \
          between {} and {} mm of height; correct stage_from_camera of the head file or tip_radius_mm of the tool file", heights_mm[0], heights_mm[1]
@@ -243,7 +230,6 @@ impl ViewPlan {
         self
     }
 
-    /// The light of its patterns.
     pub(crate) fn light(&self) -> PatternLight {
         PatternLight {
             lit_ratios: self.lit_ratios.clone(),
@@ -345,9 +331,6 @@ impl ViewPlan {
     }
 
     /// The views of a check that was stored with this recipe.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
     pub(crate) fn of_recipe(
         tool: &Tool,
         head: &HeadModel,

@@ -24,7 +24,6 @@ const STEP_MM: f64 = 1.0;
 
 /// Why a patch cannot be viewed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum PatchViewError {
     /// The patch does not exist, or is not judged.
     #[error("{got} is no patch that is judged; the tool file has {}", numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(", "))]
@@ -53,19 +52,16 @@ pub enum PatchViewError {
          one view shows one patch: name several smaller ones"
     )]
     Field {
-        /// Patch.
         name: String,
         /// Distance of the farthest corner from the field's centre.
         reach_mm: f64,
         /// The field's radius at its depth.
         field_mm: f64,
     },
-    /// The patch faces away.
     #[error(
         "patch {name:?} faces away: the head sees it at {slant_deg:.0} degrees from its normal, at most {MOST_SLANT_DEG} are possible"
     )]
     TurnedAway {
-        /// Patch.
         name: String,
         /// Angle between viewing direction and normal.
         slant_deg: f64,

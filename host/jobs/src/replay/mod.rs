@@ -26,7 +26,6 @@ use flankscope_record::history::{Difference, History, HistoryError, row_differen
 
 /// Why a check cannot be computed again.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ReplayError {
     /// Its row, document, phasors or baseline are missing, or differ from what was stored.
     #[error(transparent)]
@@ -62,10 +61,8 @@ pub enum ReplayError {
         /// Cause.
         source: PhasorsError,
     },
-    /// The evidence names a view that the plan does not have.
     #[error("the evidence of tooth {tooth} names view {view}; the plan has {views}")]
     NoSuchView {
-        /// Tooth of the view.
         tooth: u32,
         /// Its number, from 0.
         view: usize,
@@ -91,11 +88,9 @@ pub struct Replay {
     /// Origin of the check, by its document.
     #[serde(flatten)]
     pub origin: BTreeMap<&'static str, Value>,
-    /// The stored verdict.
     pub stored_verdict: Word,
     /// The verdict as computed now.
     pub verdict: Word,
-    /// Its reason.
     pub reason: String,
     /// Captures that it was computed from.
     pub captures: usize,

@@ -14,7 +14,6 @@ const MOST_CELLS: f64 = 1.5e7;
 
 /// Why there is no finer map.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum FineMapError {
     /// The spacing gives too many or too few cells.
     #[error(

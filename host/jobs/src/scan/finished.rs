@@ -21,12 +21,10 @@ use flankscope_instrument::acquisition::{Recording, RecordingError};
 
 /// Why a finished scan cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum FinishedScanError {
     /// An error that a scan would report too.
     #[error(transparent)]
     Scan(#[from] ScanError),
-    /// Its views are not a grid.
     #[error("{path}: {error}; the article's figures need views around the die, layer by layer")]
     Grid {
         /// The folder.
@@ -47,12 +45,10 @@ impl From<SessionError> for FinishedScanError {
 
 /// Why there are no cross-sections.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SectionsError {
     /// The recording cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The recording has no views.
     #[error("the recording has no view")]
     NoViews,
     /// The recording belongs to another scan.

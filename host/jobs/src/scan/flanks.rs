@@ -53,7 +53,6 @@ const QUARTILE_SIGMAS: f64 = 0.674_5;
 const QUARTILE_ERROR: f64 = 1.362_6;
 type Key = (u32, Flank);
 
-/// The judged flanks.
 #[derive(Default)]
 pub(super) struct JudgedFlanks {
     pub features: Vec<Feature>,

@@ -11,7 +11,6 @@ use flankscope_record::document::scan::Scan;
 
 /// Why a cloud was not written.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CloudError {
     /// The session folder cannot be read.
     #[error(transparent)]

@@ -12,7 +12,6 @@ use flankscope_record::document::scan::{Scan, ScanGear};
 
 /// Why the gear was not evaluated.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ScanGearError {
     /// The views are not registered reliably.
     #[error("the views do not stand where a gear could be read from them: {reason}")]
@@ -20,7 +19,6 @@ pub enum ScanGearError {
         /// Reason given by the scan.
         reason: String,
     },
-    /// No flank has an uncertainty.
     #[error("no flank was measured of which the uncertainty is known: {reason}")]
     NoUncertainty {
         /// Reason given by the scan.

@@ -12,7 +12,6 @@ use flankscope_metrology::view::PlannedView;
 pub struct Grid {
     /// Views around.
     pub around: u32,
-    /// Layers.
     pub layers: u32,
 }
 

@@ -44,7 +44,6 @@ use flankscope_record::origin::Setting;
 
 /// Why a scan failed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ScanError {
     /// The instrument failed.
     #[error(transparent)]
@@ -70,14 +69,12 @@ pub enum ScanError {
         /// Number of bands.
         bands: usize,
     },
-    /// A view of a recording is not at a position of its grid.
     #[error(
         "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
     )]
     OffGrid {
         /// View, from 1.
         view: usize,
-        /// The grid.
         grid: String,
     },
     /// The poses of a recording come from a table instead of the stages.

@@ -22,7 +22,6 @@ const OUTLIER_MM: f64 = 0.5;
 
 /// Why the metrics were not computed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum MetricsError {
     /// No reference points could be drawn.
     #[error(transparent)]

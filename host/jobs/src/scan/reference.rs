@@ -13,7 +13,6 @@ use flankscope_record::seal::{Kind, SealError, Seals};
 
 /// Why a comparison is not possible.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ReferenceError {
     /// The operating system returned an error.
     #[error("{path}: {error}")]
@@ -23,24 +22,19 @@ pub enum ReferenceError {
         /// Reason.
         error: std::io::Error,
     },
-    /// The file is not a scan result.
     #[error(
         "{path} is no result of a scan: {error}; the file that scan --json or --report wrote is needed"
     )]
     Document {
-        /// The file.
         path: PathBuf,
         /// Reason.
         error: serde_json::Error,
     },
-    /// The earlier scan judged no flank.
     #[error("{path} names no flank ({verdict}: {reason}); a scan that could be judged is needed")]
     Empty {
         /// The file.
         path: PathBuf,
-        /// Its verdict.
         verdict: String,
-        /// Its reason.
         reason: String,
     },
     /// One of both scans is from the simulated bench, the other from a press.

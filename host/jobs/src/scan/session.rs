@@ -22,7 +22,6 @@ const FORMAT: u32 = 1;
 
 /// Why a session folder cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SessionError {
     /// The operating system returned an error.
     #[error("{path}: {error}")]
@@ -40,7 +39,6 @@ pub enum SessionError {
         /// Reason.
         error: serde_json::Error,
     },
-    /// The folder belongs to another scan.
     #[error(
         "{path} holds another scan: its {what} is {got}, this scan's is {expected}; scan into an empty folder"
     )]
@@ -59,7 +57,6 @@ pub enum SessionError {
         "{path} is damaged: its BLAKE3 is {got}, the manifest says {expected}; remove the file to have the view captured again"
     )]
     Damaged {
-        /// The file.
         path: PathBuf,
         /// BLAKE3 of the file.
         got: String,
@@ -74,7 +71,6 @@ pub enum SessionError {
     Pose {
         /// The manifest.
         path: PathBuf,
-        /// View.
         view: usize,
     },
 }
@@ -259,7 +255,6 @@ impl Session {
         write_whole(&path, &text).map_err(|error| SessionError::Io { path, error })
     }
 
-    /// The folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

@@ -9,7 +9,6 @@ use serde::Deserialize;
 
 /// Why exposures were not written.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum HeadFileError {
     /// The file cannot be read or written.
     #[error("cannot write exposures into {}: {source}", path.display())]
@@ -34,7 +33,6 @@ pub enum HeadFileError {
     Changed {
         /// The file.
         path: PathBuf,
-        /// The line for the file.
         line: String,
     },
     /// A person answers for the file as it is.
@@ -47,7 +45,6 @@ pub enum HeadFileError {
         path: PathBuf,
         /// Name of the person.
         by: String,
-        /// The line for the file.
         line: String,
     },
     /// The file's signature cannot be checked or renewed.

@@ -31,7 +31,6 @@ const BRIGHT: f64 = 0.9999;
 
 /// Why a live view could not run.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum LiveViewError {
     /// Controller or camera cannot be used.
     #[error(transparent)]
@@ -146,7 +145,6 @@ impl LiveView {
     }
 
     /// All captures so far.
-    #[must_use]
     pub fn view(&self) -> &SetupView {
         &self.view
     }

@@ -99,7 +99,6 @@ impl Job<ViewOutcome> {
 
 /// Why the watch cannot begin, or ended.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum WatchError {
     /// Controller or camera cannot be used.
     #[error(transparent)]

@@ -168,6 +168,8 @@ impl<'a> MergedExposures<'a> {
 mod tests {
     use std::f64::consts::TAU;
 
+    use flankscope_test_requisites::Random;
+
     use super::*;
     use crate::accumulate::consistency;
 
@@ -276,13 +278,8 @@ mod tests {
 
     /// Standard normal numbers, the same in every run.
     fn normal() -> impl FnMut() -> f64 {
-        let mut state = 11_u64;
-        let mut uniform = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
+        let mut random = Random(11);
+        let mut uniform = move || random.uniform() + 0.5 / (1_u64 << 53) as f64;
         move || (-2.0 * uniform().ln()).sqrt() * (TAU * uniform()).cos()
     }
 

@@ -145,7 +145,6 @@ pub(crate) fn rigid_motion(pairs: &[PointPair]) -> Option<Isometry3<f64>> {
     Some(Isometry3::from_parts(shift.into(), rotation))
 }
 
-/// A fitted sphere.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FittedSphere {
     pub centre_mm: Point3<f64>,

@@ -60,7 +60,6 @@ pub(crate) enum NoMinimum {
     NotSettled(usize),
 }
 
-/// A minimum.
 pub(crate) struct Minimum<P> {
     /// The state there.
     pub state: P,

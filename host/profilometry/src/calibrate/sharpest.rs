@@ -392,6 +392,8 @@ fn vertex(
 
 #[cfg(test)]
 mod tests {
+    use flankscope_test_requisites::Random;
+
     use super::*;
 
     const RANGE: [u16; 2] = [416, 616];
@@ -595,15 +597,8 @@ mod tests {
 
     #[test]
     fn noise_is_told_as_uncertainty() {
-        // Twelve evenly drawn numbers (Knuth's MMIX) less six are nearly normal.
-        let mut state = 5u64;
-        let mut even = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
-        let mut noise = move || 1e-4 * ((0..12).map(|_| even()).sum::<f64>() - 6.0);
+        let mut random = Random(5);
+        let mut noise = move || 1e-4 * random.normal();
         let mut pulls = 0.0;
         let draws = 400;
         for _ in 0..draws {

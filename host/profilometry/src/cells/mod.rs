@@ -59,7 +59,6 @@ impl Grid {
         }
     }
 
-    /// The cells of one row.
     pub(crate) fn cells(&self, row: usize) -> Range<usize> {
         match self {
             Self::Blocks(grid) => {

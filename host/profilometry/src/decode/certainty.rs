@@ -42,24 +42,19 @@ pub(super) fn keep_certain(results: &mut [CellResult], max_sigma_z_mm: Option<f6
 
 #[cfg(test)]
 mod tests {
+    use flankscope_test_requisites::Random;
+
     use super::*;
 
     /// Phases of signal and noise drawn here, their spread against what the amplitude seen says.
     #[test]
     fn the_spread_of_a_noisy_phase_is_told_from_its_amplitude() {
-        let mut state = 3u64;
-        let mut uniform = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
-        let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let mut random = Random(3);
         let draws = 20_000;
         for (signal, least, most) in [(0.0, 0.95, 1.05), (3.0, 0.9, 1.2), (10.0, 0.98, 1.02)] {
             let (mut squares, mut told) = (0.0, Vec::new());
             for _ in 0..draws {
-                let (re, im) = (signal + normal(), normal());
+                let (re, im) = (signal + random.normal(), random.normal());
                 squares += im.atan2(re).powi(2);
                 let linear_rad = 1.0 / re.hypot(im);
                 told.push(f64::from(phase_sigma_rad(linear_rad as f32)));

@@ -80,6 +80,8 @@ pub fn estimate(phasor: &Phasor, steps: u32, step_sign: f64, noise: &CellNoise) 
 
 #[cfg(test)]
 mod tests {
+    use flankscope_test_requisites::Random;
+
     use super::*;
     use std::f64::consts::TAU;
 
@@ -130,14 +132,7 @@ mod tests {
     /// Spread of phases from frames with noise drawn in the test, against the prediction.
     #[test]
     fn predicted_noise_is_the_spread() {
-        let mut state = 7u64;
-        let mut uniform = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
-        let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let mut random = Random(7);
         let draws = 20_000;
         for steps in [3, 4, 8] {
             for phase in [0.2, 1.1, 2.4] {
@@ -145,7 +140,8 @@ mod tests {
                 for _ in 0..draws {
                     let noisy = phasor(steps, |shift| {
                         let electrons = 2000.0 + 900.0 * (phase + shift).cos();
-                        10.0 + (electrons + normal() * (electrons + NOISE.dark_variance_e2).sqrt())
+                        10.0 + (electrons
+                            + random.normal() * (electrons + NOISE.dark_variance_e2).sqrt())
                             / 2.0
                     });
                     let got = estimate(&noisy, steps, 1.0, &NOISE);

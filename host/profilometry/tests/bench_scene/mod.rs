@@ -7,6 +7,7 @@ use flankscope_profilometry::frame::{FrameKind, FrameView};
 use flankscope_profilometry::head::{DepthRange, HeadModel, Pinhole, RigidTransform, Sensor};
 use flankscope_profilometry::pattern::PatternSet;
 use flankscope_profilometry::{Accumulator, Decoder};
+pub use flankscope_test_requisites::Random;
 
 pub const WIDTH: usize = 150;
 pub const HEIGHT: usize = 96;
@@ -198,21 +199,4 @@ pub fn accumulate(decoder: &Decoder, frames: &[(FrameKind, Vec<u16>)]) -> Accumu
             .unwrap();
     }
     accumulator
-}
-
-/// Enough for tests: a 64 bit congruential generator and sums of twelve.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn uniform(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
 }

@@ -23,7 +23,6 @@ use flankscope_profilometry::Picture;
 /// Result of one inspected flank or patch: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
-    /// Which one.
     #[serde(flatten)]
     pub id: FeatureId,
     /// Wear, µm, positive for loss; absent if it could not be measured.
@@ -48,7 +47,6 @@ pub struct Feature {
     /// If it was measured more than once: the wear by each single capture, µm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub measurements: Vec<Option<Expanded>>,
-    /// Its verdict.
     pub verdict: Word,
     /// Why it is not go.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -106,7 +104,6 @@ pub struct FlankDetail {
 
 impl FlankDetail {
     /// Sources of uncertainty that are not zero at the precision of a report.
-    #[must_use]
     pub fn shown_budget(&self) -> Vec<(&'static str, f64)> {
         let shown = self.budget_um.iter().filter(|(_, um)| **um >= 0.005);
         shown.map(|(name, um)| (*name, *um)).collect()
@@ -116,7 +113,6 @@ impl FlankDetail {
 /// A value with its expanded uncertainty (95 %) in the same unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Expanded {
-    /// Value.
     pub value: f64,
     /// Expanded uncertainty.
     pub u95: f64,
@@ -156,7 +152,6 @@ pub struct FrameCount {
 /// Distribution of the transfer times of frames, µs.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Handover {
-    /// Median.
     pub median: f64,
     /// 99th percentile.
     pub p99: f64,
@@ -184,7 +179,6 @@ impl Handover {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ViewStatus {
-    /// Registered.
     Registered,
     /// A view of a check was not registered.
     Indeterminate,
@@ -223,7 +217,6 @@ pub struct ViewRegistration {
     pub inliers: usize,
     /// Robust rms distance of the inliers, mm.
     pub rms_mm: f64,
-    /// Iterations.
     pub iterations: usize,
     /// Correction of the stage's pose by the registration: along x, y, z of the tool, mm.
     pub shift_mm: [f64; 3],
@@ -277,7 +270,6 @@ pub struct Inspection {
     pub origin: Origin,
     /// End of the check: ISO 8601, UTC, by the host's clock.
     pub date: String,
-    /// The verdict.
     pub verdict: Word,
     /// Reason of the verdict, in one sentence.
     pub reason: String,
@@ -365,7 +357,6 @@ impl Inspection {
     }
 
     /// The verdict and its reason.
-    #[must_use]
     pub fn sentence(&self) -> String {
         format!("{}: {}", self.verdict, self.reason)
     }

@@ -38,7 +38,6 @@ pub struct RecordedRecipe {
     /// Position of the stages for each further view.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub further: Vec<FurtherView>,
-    /// Pattern set.
     pub patterns: PatternSet,
     /// Whether a dark frame preceded each view.
     pub dark_frame: bool,
@@ -51,7 +50,6 @@ pub struct RecordedRecipe {
 
 impl Recipe {
     /// BLAKE3 of its JSON.
-    #[must_use]
     pub fn hash(&self) -> String {
         files::hash(&serde_json::to_vec(self).unwrap_or_default())
     }
@@ -84,7 +82,6 @@ pub struct FurtherEvidence {
 /// Why a view was not captured completely, as it is stored: from it the same verdict follows again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Problem {
-    /// In one sentence.
     #[serde(rename = "problem")]
     pub sentence: String,
     /// Class of the reason.

@@ -19,7 +19,6 @@ pub struct FeatureId {
 
 impl FeatureId {
     /// Side of its tooth, or the name of its patch.
-    #[must_use]
     pub fn side(&self) -> &str {
         self.patch.as_deref().unwrap_or(self.flank.word())
     }

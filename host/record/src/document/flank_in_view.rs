@@ -8,7 +8,6 @@ use super::FeatureId;
 /// A flank that was in view but not requested.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FlankInView {
-    /// Which one.
     #[serde(flatten)]
     pub id: FeatureId,
     /// Tooth in the middle of the view.

@@ -44,7 +44,6 @@ pub struct ExpectedByHead {
     pub modulation_dn: f64,
 }
 
-/// One capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SetupCapture {
     /// Its number in the run, from 1.
@@ -97,7 +96,6 @@ pub struct ExposureLevels {
 pub struct LostCapture {
     /// Its number in the run, from 1.
     pub number: u32,
-    /// Reason.
     pub reason: String,
 }
 
@@ -118,7 +116,6 @@ impl SetupView {
     /// Captures that are kept.
     pub const KEPT: usize = 1000;
 
-    /// Adds a capture.
     pub fn add(&mut self, capture: SetupCapture) {
         keep_last(&mut self.captures, capture);
     }
@@ -131,13 +128,11 @@ impl SetupView {
 
 impl SetupCapture {
     /// Share of the cells with a usable point, 0..1.
-    #[must_use]
     pub fn point_ratio(&self) -> f64 {
         self.points as f64 / self.cells.max(1) as f64
     }
 
     /// Contrast of the finest fringes, median over the cells with a point.
-    #[must_use]
     pub fn finest_contrast(&self) -> Option<f64> {
         self.contrast.last().copied()
     }

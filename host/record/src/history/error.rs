@@ -7,7 +7,6 @@ use crate::seal::StandingNoGo;
 
 /// Why a history cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum HistoryError {
     /// SQLite returns an error: no permission, disk full, damaged, locked for too long.
     #[error("history {}: cannot {doing}: {source}", path.display())]
@@ -19,16 +18,13 @@ pub enum HistoryError {
         /// Cause.
         source: rusqlite::Error,
     },
-    /// The file is a database, but not a history of this instrument.
     #[error(
         "{} is a database, but no history of this instrument (application id {got:#x}, right would be {expected:#x}); name another file", path.display()
     )]
     Foreign {
         /// The file.
         path: PathBuf,
-        /// Its application id.
         got: i32,
-        /// Application id of a history.
         expected: i32,
     },
     /// The file was written by a release with another table layout.
@@ -59,12 +55,10 @@ pub enum HistoryError {
     /// A stored document is not JSON, or lacks a required entry.
     #[error("the stored document of check {id} cannot be read: {source}")]
     Stored {
-        /// Check.
         id: i64,
         /// Cause.
         source: serde_json::Error,
     },
-    /// A result cannot be written as JSON.
     #[error("history {}: the result cannot be written as JSON: {source}", path.display())]
     Document {
         /// The file.
@@ -116,7 +110,6 @@ pub enum HistoryError {
         /// Die and time of the no-go.
         stands: Box<StandingNoGo>,
     },
-    /// The file has several names (hard links).
     #[error("history {} has {names} names (hard links): SQLite and other watches know a file by its name; leave it one, and copy it with sqlite3 {} \".backup COPY\"", path.display(), path.display())]
     SeveralNames {
         /// One of the names.
@@ -126,16 +119,12 @@ pub enum HistoryError {
     },
     /// The path is a folder, pipe or device.
     #[error("history {}: not a regular file", path.display())]
-    NoFile {
-        /// Its path.
-        path: PathBuf,
-    },
+    NoFile { path: PathBuf },
     /// Another watch already runs on the die.
     #[error("history {}: {tool} is watched by {who} since {since}; one watch at a time holds a die. Dies of one design are told apart by `serial` in their tool files", path.display())]
     Held {
         /// The file.
         path: PathBuf,
-        /// The tool there.
         tool: String,
         /// Process that watches it.
         who: String,
@@ -158,9 +147,7 @@ pub enum HistoryError {
         "head {head}: check {id} of {at} was made with a signed head of this name, and this file carries no digest: it was taken off, or it is another head. If it is right as it is: flankscope trust HEAD.toml --name WHO"
     )]
     Stripped {
-        /// Name of the head.
         head: String,
-        /// The check.
         id: i64,
         /// Time of the check.
         at: String,

@@ -36,7 +36,6 @@ const SCHEMA: &str = "message history {
     OPTIONAL BINARY patch (STRING);
 }";
 
-/// A flank and its check.
 type Row<'a> = (&'a Check, &'a FlankRow);
 
 /// The bytes of a Parquet file with a row per check and flank.

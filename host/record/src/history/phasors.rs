@@ -51,8 +51,6 @@ fn unpack(packed: &[u8], length: usize) -> io::Result<Vec<u8>> {
 }
 
 impl History {
-    /// Folder of the phasors.
-    #[must_use]
     pub fn phasors_folder(&self) -> PathBuf {
         let mut name = OsString::from(self.path());
         name.push(".phasors");

@@ -12,7 +12,6 @@ use super::store::History;
 pub struct Difference {
     /// Path in the document, for example `features.0.wear_um`.
     pub what: String,
-    /// Stored value.
     pub stored: Value,
     /// Present value.
     pub now: Value,

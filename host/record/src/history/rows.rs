@@ -29,7 +29,6 @@ pub struct Check {
     pub press_cycles: i64,
     /// BLAKE3 of the baseline that wear is relative to; absent if wear is relative to CAD.
     pub baseline: Option<String>,
-    /// Its verdict.
     pub verdict: Word,
     /// Reason of the verdict.
     pub reason: String,
@@ -45,7 +44,6 @@ pub struct Check {
 /// A flank or patch of a stored check.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct FlankRow {
-    /// Which one.
     #[serde(flatten)]
     pub id: FeatureId,
     /// Wear, µm; absent when it was not measured.
@@ -56,7 +54,6 @@ pub struct FlankRow {
     pub warn_um: f64,
     /// Stop limit, µm.
     pub limit_um: f64,
-    /// Its verdict.
     pub verdict: Word,
     /// Class of the reason, if indeterminate.
     pub code: Option<Code>,

@@ -85,9 +85,6 @@ impl History {
     }
 
     /// Opens an existing history for reading; a watch may write to it meanwhile.
-    ///
-    /// # Errors
-    /// As [`History::open`].
     pub fn read(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         let path = &real_name(path);
         only_name(path)?;
@@ -156,7 +153,6 @@ impl History {
     }
 
     /// Path of the file.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -456,9 +452,6 @@ impl History {
     }
 
     /// Stores the baseline that the following checks are compared with.
-    ///
-    /// # Errors
-    /// As [`History::record`].
     pub fn keep_baseline(
         &mut self,
         blake3: &str,
@@ -510,9 +503,6 @@ impl History {
     }
 
     /// Adds an entry to the audit log.
-    ///
-    /// # Errors
-    /// As [`History::record`].
     pub fn audit(&mut self, who: &str, what: &str, detail: &str) -> Result<(), HistoryError> {
         self.write("write its audit", |history| {
             let values = vec![

@@ -65,7 +65,6 @@ impl Trend {
     }
 
     /// Standard uncertainty of the rate, µm per cycle.
-    #[must_use]
     pub fn u_rate_um(&self) -> f64 {
         (self.rate_um_95[1] - self.rate_um_95[0]) / (2.0 * COVERAGE_95)
     }

@@ -13,7 +13,6 @@ const FILE: &str = "station.key";
 /// Number of characters of a station's id and of a digest in files.
 const ID_CHARACTERS: usize = 16;
 
-/// A key.
 #[derive(Clone)]
 pub(super) struct Key([u8; 32]);
 

@@ -36,7 +36,6 @@ pub struct TrustEntry {
     pub file: PathBuf,
     /// Name of the person.
     pub by: String,
-    /// Date.
     pub date: String,
 }
 
@@ -66,7 +65,6 @@ pub struct Anchor {
 /// An unacknowledged no-go.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StandingNoGo {
-    /// The die.
     #[serde(flatten)]
     pub die: DieKey,
     /// Number of the check.
@@ -271,18 +269,12 @@ impl Seals {
     }
 
     /// The id of the history that this station last wrote at a path.
-    ///
-    /// # Errors
-    /// As [`Self::anchor`].
     pub fn history_at(&self, file: &Path) -> Result<Option<String>, SealError> {
         let path = self.remembered(PLACE, place(file).as_os_str().as_encoded_bytes());
         Ok(self.recall::<Place>(path)?.map(|there| there.id))
     }
 
     /// The anchor of the history that this station last wrote at a path, unless it wrote to it elsewhere since.
-    ///
-    /// # Errors
-    /// As [`Self::anchor`].
     pub fn anchor_at(&self, file: &Path) -> Result<Option<Anchor>, SealError> {
         let Some(id) = self.history_at(file)? else {
             return Ok(None);
@@ -292,9 +284,6 @@ impl Seals {
     }
 
     /// An unacknowledged no-go of the same real die in a history other than `own`, with that history's path.
-    ///
-    /// # Errors
-    /// As [`Self::anchor`].
     pub fn stands_elsewhere(
         &self,
         die: &DieKey,

@@ -19,7 +19,6 @@ pub use memory::{Alone, Anchor, StandingNoGo, TrustEntry};
 /// Kind of a signed file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A baseline.
     Baseline,
     /// A head file.
     Head,
@@ -71,7 +70,6 @@ pub enum Standing {
 
 impl Standing {
     /// The status in words, for results.
-    #[must_use]
     pub fn words(&self) -> String {
         match self {
             Self::Signed => "signed".into(),
@@ -85,7 +83,6 @@ impl Standing {
 
 /// Why a file is not accepted, or cannot be signed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SealError {
     /// The key cannot be read or created.
     #[error("the station's key {}: {source} (choose another folder with FLANKSCOPE_STATE)", path.display())]
@@ -95,7 +92,6 @@ pub enum SealError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Other users may have read or replaced the key.
     #[error("{} is of user {uid} with mode {mode:o}: the station's key and its folder must be this user's alone (0600 in 0700); if others may have read it, remove it: what it signed must then be trusted anew", path.display())]
     KeyOpen {
         /// Key or folder.
@@ -116,7 +112,6 @@ pub enum SealError {
         /// Cause.
         source: std::io::Error,
     },
-    /// The document to sign is not JSON.
     #[error("cannot be signed: {0}")]
     Document(#[from] serde_json::Error),
     /// The file is neither signed by this station nor trusted.
@@ -177,7 +172,6 @@ impl Seals {
     }
 
     /// Id of the station's key.
-    #[must_use]
     pub fn station(&self) -> String {
         self.key.id()
     }

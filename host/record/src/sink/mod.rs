@@ -37,7 +37,6 @@ impl<R, S: ResultSink<R>> ResultSink<R> for &mut S {
 
 /// Why a result was not written.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SinkError {
     /// The operating system returned an error.
     #[error("cannot write {}: {source}", path.display())]
@@ -50,7 +49,6 @@ pub enum SinkError {
     /// The reader of the output closed it.
     #[error("cannot write to standard output: {0}")]
     Output(std::io::Error),
-    /// The result cannot be written as JSON.
     #[error("the result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// The result cannot be rendered as a page; the cause is the template engine's.

@@ -17,7 +17,6 @@ pub struct AxisModel {
     pub unit: u8,
     /// Speed and acceleration when switched on.
     pub dynamics: Dynamics,
-    /// Travel.
     pub travel: (f64, f64),
     /// Position of the home switch, at which it stands when switched on.
     pub home: f64,

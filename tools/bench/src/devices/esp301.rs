@@ -20,7 +20,6 @@ pub struct Stages {
 
 impl Stages {
     /// The serial port to open.
-    #[must_use]
     pub fn port(&self) -> &Path {
         &self.port
     }

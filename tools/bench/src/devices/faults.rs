@@ -18,7 +18,6 @@ pub enum DeviceFault {
     DmdRefuses,
     /// The DMD does not answer a selection.
     DmdSilent,
-    /// The DMD misses one trigger.
     DmdMissesTrigger,
     /// The DMD sees one trigger twice.
     DmdExtraTrigger,
@@ -96,7 +95,6 @@ impl Faults {
     }
 
     /// Time at which it took effect, virtual time.
-    #[must_use]
     pub fn fired_us(&self) -> Option<u64> {
         self.fired_us.get()
     }

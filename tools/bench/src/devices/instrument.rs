@@ -92,13 +92,11 @@ pub struct Instrument {
 
 impl Instrument {
     /// The serial port for the host to open.
-    #[must_use]
     pub fn port(&self) -> &Path {
         &self.port
     }
 
     /// Stops and resumes virtual time, for instance while a frame is rendered.
-    #[must_use]
     pub fn remote(&self) -> &Remote {
         &self.remote
     }

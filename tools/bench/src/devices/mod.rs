@@ -62,7 +62,6 @@ pub struct DeviceConfig {
     pub led: LedTiming,
     /// DMD controller.
     pub dmd: DmdTiming,
-    /// Camera.
     pub camera: CameraTiming,
     /// Both axes.
     pub axes: stage::AxisModels,

@@ -5,9 +5,7 @@
 pub struct Dynamics {
     /// Largest speed.
     pub speed: f64,
-    /// Acceleration.
     pub acceleration: f64,
-    /// Deceleration.
     pub deceleration: f64,
 }
 
@@ -85,13 +83,11 @@ impl Profile {
     }
 
     /// Final position.
-    #[must_use]
     pub fn target(&self) -> f64 {
         self.target
     }
 
     /// Time at which it comes to rest.
-    #[must_use]
     pub fn end_s(&self) -> f64 {
         self.start_s + self.brake_s + self.trapezoid().total_s()
     }

@@ -24,7 +24,6 @@ pub struct HeadFile {
     pub projector: Lens,
     /// Pose of the camera relative to the projector.
     pub projector_from_camera: Placement,
-    /// A second projector.
     pub second_projector: Option<SecondLens>,
     /// Pose of the camera on the stages; by default that of the head's design.
     pub stage_from_camera: Option<Placement>,
@@ -55,9 +54,6 @@ pub struct Lens {
 
 impl HeadFile {
     /// Reads `head.toml`.
-    ///
-    /// # Errors
-    /// [`FileError`].
     pub fn load(path: &Path) -> Result<Self, FileError> {
         read(path)
     }

@@ -22,14 +22,12 @@ pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 
 /// Why the bench cannot use a file.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum FileError {
     /// The file cannot be read.
     #[error("cannot read {}: {cause}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Cause.
         cause: std::io::Error,
     },
     /// Not TOML, a missing key or a wrong type.
@@ -45,7 +43,6 @@ pub enum FileError {
     NotFinite {
         /// The file.
         path: PathBuf,
-        /// The key.
         key: String,
         /// Its value.
         got: f64,
@@ -55,9 +52,7 @@ pub enum FileError {
     Value {
         /// The file.
         path: PathBuf,
-        /// The key.
         key: &'static str,
-        /// Its value.
         got: f64,
         /// Expected values.
         expected: &'static str,
@@ -130,7 +125,6 @@ fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
 pub struct Placement {
     /// Rotation matrix, row by row.
     pub rotation: [[f64; 3]; 3],
-    /// Translation, mm.
     pub translation_mm: [f64; 3],
 }
 

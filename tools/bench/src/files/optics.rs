@@ -10,9 +10,6 @@ use crate::world::{AT_HAND, Driven, HeadDesign};
 pub const FILE: &str = "optics.toml";
 
 /// The head in the folder of a tool or target file, else that of the demo.
-///
-/// # Errors
-/// [`FileError`].
 pub fn made_head_beside(file: &Path) -> Result<HeadDesign, FileError> {
     let path = file.with_file_name(FILE);
     match path.exists() {
@@ -161,7 +158,6 @@ fn driven_in(given: &str) -> (&str, Option<Driven>) {
 pub struct MadeHead {
     /// Name or file, as given.
     pub given: String,
-    /// Its design.
     pub optics: Box<HeadDesign>,
     /// Text of its file.
     pub text: String,

@@ -25,7 +25,6 @@ pub struct TargetFile {
     /// Further plates without print.
     #[serde(default)]
     pub test_blank: Vec<Plate>,
-    /// A sphere.
     pub sphere: Option<Sphere>,
     /// Further spheres.
     #[serde(default)]
@@ -50,12 +49,10 @@ pub struct Plate {
     pub tool_from_plate: Placement,
 }
 
-/// A sphere.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub struct Sphere {
     /// Its centre in the tool frame.
     pub centre_mm: [f64; 3],
-    /// Its diameter.
     pub diameter_mm: f64,
     /// Another sphere in the same field.
     pub partner: Option<Partner>,
@@ -66,15 +63,11 @@ pub struct Sphere {
 pub struct Partner {
     /// Its centre in the tool frame.
     pub centre_mm: [f64; 3],
-    /// Its diameter.
     pub diameter_mm: f64,
 }
 
 impl TargetFile {
     /// Reads `target.toml`.
-    ///
-    /// # Errors
-    /// [`FileError`].
     pub fn load(path: &Path) -> Result<Self, FileError> {
         read(path)
     }

@@ -22,7 +22,6 @@ pub struct ToolFile {
 pub struct Cad {
     /// Mesh file, absolute or relative to the tool file.
     pub file: PathBuf,
-    /// Its unit.
     #[serde(default)]
     pub unit: Unit,
 }
@@ -72,13 +71,11 @@ pub struct Gear {
     pub kind: Kind,
     /// Number of teeth.
     pub teeth: u32,
-    /// Module.
     pub module_mm: f64,
     /// Pressure angle at the pitch circle.
     pub pressure_angle_deg: f64,
     /// Radius of the tooth tips.
     pub tip_radius_mm: f64,
-    /// Radius of the roots.
     pub root_radius_mm: f64,
     /// Angle of the centre of tooth 1.
     pub first_tooth_centre_deg: f64,
@@ -115,9 +112,6 @@ fn wear_area_mm2() -> f64 {
 
 impl ToolFile {
     /// Reads a tool file, or the `tool.toml` of a folder; also returns its path.
-    ///
-    /// # Errors
-    /// [`FileError`].
     pub fn load(file_or_folder: &Path) -> Result<(Self, PathBuf), FileError> {
         let path = if file_or_folder.is_dir() {
             file_or_folder.join("tool.toml")
@@ -130,7 +124,6 @@ impl ToolFile {
 
 impl Gear {
     /// Radii of the working flank: from a tenth of a module behind the tip to three quarters of a module beyond the pitch circle.
-    #[must_use]
     pub fn working_mm(&self) -> [f64; 2] {
         let pitch_mm = 0.5 * self.module_mm * f64::from(self.teeth);
         let (behind, beyond) = (0.1 * self.module_mm, 0.75 * self.module_mm);

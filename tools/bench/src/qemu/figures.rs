@@ -36,7 +36,6 @@ impl Spread {
     }
 
     /// Longest minus shortest, us.
-    #[must_use]
     pub fn width_us(&self) -> u64 {
         self.max_us - self.min_us
     }

@@ -20,7 +20,6 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(20);
 /// Why the emulated controller cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
-    /// QEMU is not installed.
     #[error(
         "{PROGRAM} is missing; get it from your distribution, on Debian by: apt-get install qemu-system-arm"
     )]
@@ -35,10 +34,7 @@ pub enum EmulatorError {
     },
     /// QEMU ended before connecting.
     #[error("{PROGRAM} ended at once ({status}); it has said why above")]
-    Ended {
-        /// Its exit status.
-        status: ExitStatus,
-    },
+    Ended { status: ExitStatus },
     /// QEMU did not connect.
     #[error("{PROGRAM} did not connect its ports within {} s", CONNECT_TIMEOUT.as_secs())]
     Silent,

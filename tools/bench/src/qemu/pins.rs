@@ -29,7 +29,6 @@ pub struct Emulated {
 
 impl Emulated {
     /// Every message that came from the image so far, in order.
-    #[must_use]
     pub fn trace(&self) -> Vec<PinMessage> {
         self.trace.borrow().clone()
     }

@@ -73,7 +73,6 @@ pub struct HeadDesign {
 /// A head whose liquid lenses are driven by the controller during captures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrivenHead {
-    /// Its design.
     pub made: HeadDesign,
     /// As [`HeadOptics::make_uneven`].
     pub lens_error_um: f64,
@@ -164,7 +163,6 @@ impl HeadDesign {
     }
 
     /// Distance from the pinholes (without current) to best focus at the lenses' setting.
-    #[must_use]
     pub fn best_focus_mm(&self) -> f64 {
         self.lens.as_ref().map_or(self.stand_off_mm, |lens| {
             lens.best_focus_mm(self.stand_off_mm, self.power_per_mm())
@@ -172,13 +170,11 @@ impl HeadDesign {
     }
 
     /// Distance of best focus at the lenses' setting from the axis of the rotary stage.
-    #[must_use]
     pub fn driven_radius_mm(&self) -> f64 {
         self.focus_radius_mm + self.best_focus_mm() - self.stand_off_mm
     }
 
     /// Range of depths that the head measures at the lenses' setting, from the apparent pinhole of the camera.
-    #[must_use]
     pub fn driven_volume_mm(&self) -> [f64; 2] {
         let moved_mm = self.best_focus_mm() - self.stand_off_mm;
         let pinhole_mm = self.refracted(|lens| lens.camera_decentre_mm).pinhole_mm[2];
@@ -186,8 +182,6 @@ impl HeadDesign {
             .map(|depth_mm| depth_mm + moved_mm - pinhole_mm)
     }
 
-    /// Its optics.
-    #[must_use]
     pub fn optics(&self) -> HeadOptics {
         // Columns along +z of the stage, rows along -y, viewing direction along +x.
         let axes = Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
@@ -269,7 +263,6 @@ impl HeadDesign {
         }
     }
 
-    /// The bundle of one side.
     #[must_use]
     pub fn bundle(&self, side: &Side) -> BundleSpec {
         let fibres = &self.bundle;

@@ -26,11 +26,6 @@ impl DmdPass {
         })
     }
 
-    /// Columns and rows.
-    pub fn size_px(&self) -> [usize; 2] {
-        self.size_px
-    }
-
     /// Fraction of the pattern's light at a position of the DMD, pixel centres at integers; 0 beyond its edge.
     pub(crate) fn ratio(&self, at_px: [f64; 2]) -> f64 {
         let brightness = self.mirror(at_px).and_then(|at| self.brightness.get(at));

@@ -6,12 +6,10 @@ use super::WearError;
 
 /// Why a world, view or frame cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum WorldError {
     /// A parameter lies outside the range that the model describes.
     #[error("{name} is {got}; it must be a number from {min} to {max}")]
     Parameter {
-        /// Its name.
         name: &'static str,
         /// Its value.
         got: f64,
@@ -30,7 +28,6 @@ pub enum WorldError {
         /// Most.
         max: usize,
     },
-    /// The CAD mesh has no triangle.
     #[error("the CAD mesh has no triangle; a closed surface is needed")]
     EmptyMesh,
     /// A vertex coordinate is not finite, or too far away.
@@ -40,7 +37,6 @@ pub enum WorldError {
     Vertex {
         /// Index of the vertex.
         vertex: usize,
-        /// The coordinate, mm.
         got_mm: f64,
         /// Largest magnitude, mm.
         limit_mm: f64,
@@ -50,7 +46,6 @@ pub enum WorldError {
     Triangles {
         /// Number of triangles.
         got: usize,
-        /// Most.
         max: usize,
     },
     /// All triangles are points or segments.
@@ -61,7 +56,6 @@ pub enum WorldError {
         /// Number of triangles.
         triangles: usize,
     },
-    /// Damage is specified for a die that is given as a mesh.
     #[error(
         "{got} damages are given beside the mesh of a die; a mesh is the die as it is: cut the damage into it, or leave one out"
     )]
@@ -72,9 +66,7 @@ pub enum WorldError {
     /// A triangle refers to a vertex that does not exist.
     #[error("triangle {triangle} names vertex {got}, but there are only {vertices}")]
     Index {
-        /// Index of the triangle.
         triangle: usize,
-        /// Index of the vertex.
         got: u32,
         /// Number of vertices.
         vertices: usize,
@@ -84,9 +76,7 @@ pub enum WorldError {
         "no triangle lies within {limit_mm} mm of the {flank:?} flank of tooth {tooth}: CAD and gear data do not belong together"
     )]
     FlankNotFound {
-        /// Tooth.
         tooth: u32,
-        /// Flank.
         flank: Flank,
         /// Largest distance, mm.
         limit_mm: f64,
@@ -99,7 +89,6 @@ pub enum WorldError {
     Frequencies {
         /// Number of frequencies.
         got: usize,
-        /// Most.
         max: usize,
     },
     /// The view does not have this pattern.

@@ -23,7 +23,6 @@ pub struct IdealView<'a> {
     pub surface: Surface,
     /// Largest number of reflections; 1 is direct light alone.
     pub bounces: u32,
-    /// The camera.
     pub camera: Pinhole,
     /// The projector; it lights a plane perpendicular to its axis uniformly.
     pub projector: Pinhole,

@@ -100,7 +100,6 @@ pub struct WorldConfig {
     pub bounces: u32,
     /// Pattern printed on a calibration target.
     pub print: Option<Print>,
-    /// The head.
     pub optics: HeadOptics,
     /// Design of the head, if a controller may drive its liquid lenses.
     pub driven_head: Option<Box<DrivenHead>>,
@@ -400,7 +399,6 @@ impl World {
         }
     }
 
-    /// The sensor.
     pub fn sensor(&self) -> &SensorSpec {
         &self.sensor_spec
     }
@@ -413,11 +411,6 @@ impl World {
     /// The projector's bundle, with the positions of its cores on the DMD.
     pub fn projector_bundle(&self) -> &Bundle {
         &self.projector_bundle
-    }
-
-    /// The head's optics.
-    pub fn optics(&self) -> &HeadOptics {
-        &self.optics
     }
 
     /// Moves the stages to their *true* position and computes the light of every pattern on every pixel.
@@ -595,9 +588,6 @@ impl World {
     }
 
     /// Renders one frame with the pattern index that each projector shows during the exposure; `None` if it is dark.
-    ///
-    /// # Errors
-    /// As [`Self::render`].
     pub fn expose(
         &self,
         view: &ViewState,

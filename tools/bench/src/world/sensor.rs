@@ -14,7 +14,6 @@ use std::ops::Range;
 pub struct SensorSpec {
     /// Full-well charge of a pixel, e⁻.
     pub full_well_e: f64,
-    /// Read noise, e⁻.
     pub read_noise_e: f64,
     /// Counts without light, DN.
     pub offset_dn: f64,

@@ -21,7 +21,6 @@ pub const SIDE: usize = 10;
 pub struct Remainder {
     /// Centre of the square.
     pub centre: [f64; 2],
-    /// Half its side.
     pub half_side: f64,
     /// Shift along the columns; coefficients of the smallest y first.
     pub columns_px: [[f64; SIDE]; SIDE],

@@ -69,7 +69,6 @@ impl WearKind {
 pub struct Wear {
     /// Tooth, from 1.
     pub tooth: u32,
-    /// Its flank.
     pub flank: Flank,
     /// Largest depth, mm; of [`WearKind::Buildup`] the height. Never negative.
     pub depth_mm: f64,
@@ -82,19 +81,16 @@ pub const MAX_DEPTH_UM: f64 = 300.0;
 
 /// Why a text does not describe wear, or not of this gear.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum WearError {
     /// The number of parts is wrong.
     #[error(
         "wear \"{text}\" has {parts} parts; write TOOTH:FLANK:DEPTH_UM or TOOTH:FLANK:DEPTH_UM:KIND, e.g. 12:left:80"
     )]
     Parts {
-        /// The text.
         text: String,
         /// Parts found between colons.
         parts: usize,
     },
-    /// The tooth is not a number.
     #[error("tooth \"{got}\" is not a whole number from 1")]
     Tooth {
         /// The part at fault.
@@ -186,7 +182,6 @@ impl FromStr for Wear {
 pub struct FlankId {
     /// Tooth, from 1.
     pub tooth: u32,
-    /// Its flank.
     pub flank: Flank,
 }
 

@@ -42,7 +42,6 @@ pub enum Injection {
     Stranger,
     /// Power fails for a moment.
     Reset,
-    /// A task hangs.
     Hang(Task),
     /// A frame does not reach the host as it was exposed.
     Frame(FrameFault),

@@ -33,7 +33,6 @@ use flankscope_foundation::files;
 /// A folder of recorded frames, its index and plan read.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// The index.
     pub index: FrameIndex,
     /// Patterns, exposures and names of the images.
     pub plan: Plan,
@@ -44,7 +43,6 @@ pub struct Recording {
 
 /// Why a folder of frames cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RecordingError {
     /// Index or plan cannot be read.
     #[error(transparent)]
@@ -66,7 +64,6 @@ pub enum RecordingError {
         /// Number of frames of a view.
         planned: usize,
     },
-    /// An image lies outside the images' folder.
     #[error(
         "{} lies outside {}: the images of a recording are in one folder, which images = \"DIR\" in frames.toml names",
         path.display(),
@@ -85,7 +82,6 @@ pub enum RecordingError {
         path: PathBuf,
         /// Bits of the image.
         got: u32,
-        /// Bits of the sensor.
         bits: u32,
     },
     /// Neither plan nor head file describes the sensor.
@@ -120,20 +116,17 @@ impl Recording {
     }
 
     /// BLAKE3 of the index, as hexadecimal text.
-    #[must_use]
     pub fn blake3(&self) -> &str {
         &self.blake3
     }
 
     /// The head's file, if the index names one.
-    #[must_use]
     pub fn head(&self) -> Option<PathBuf> {
         let head = self.index.head.as_ref()?;
         Some(self.folder.join(head))
     }
 
     /// The table of camera poses, if the index names one.
-    #[must_use]
     pub fn poses(&self) -> Option<PathBuf> {
         let poses = self.index.poses.as_ref()?;
         Some(self.folder.join(poses))

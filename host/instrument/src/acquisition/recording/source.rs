@@ -17,7 +17,6 @@ use flankscope_foundation::files;
 
 /// Why a view's images cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ImageProblem {
     /// The image cannot be read.
     #[error(transparent)]
@@ -50,7 +49,6 @@ pub enum ImageProblem {
         path: PathBuf,
         /// Largest count.
         got: u16,
-        /// Full scale of the sensor.
         full_scale: u16,
     },
 }

@@ -36,7 +36,6 @@ use flankscope_record::origin::{RecordingId, Setting};
 
 /// Why recorded clouds cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CloudsError {
     /// The index cannot be read.
     #[error(transparent)]
@@ -49,12 +48,10 @@ pub enum CloudsError {
         /// Reason.
         source: std::io::Error,
     },
-    /// A cloud lies outside the folder.
     #[error("{} leads out of {}: clouds lie in the folder of their clouds.toml", path.display(), folder.display())]
     Outside {
         /// The cloud.
         path: PathBuf,
-        /// Its folder.
         folder: PathBuf,
     },
     /// A file is not a cloud.
@@ -65,7 +62,6 @@ pub enum CloudsError {
         /// Reason.
         source: Box<cloud::CloudError>,
     },
-    /// A point lies behind the camera.
     #[error("{}: point {point} lies behind the camera (z = {z_mm} mm): a view's cloud is in the camera's frame, z along its view", path.display())]
     Behind {
         /// The cloud.
@@ -82,7 +78,6 @@ pub enum CloudsError {
         path: PathBuf,
         /// Point, from 0.
         point: usize,
-        /// Its uncertainty.
         sigma_mm: f32,
     },
     /// A file differs from the recorded one.
@@ -102,7 +97,6 @@ pub enum CloudsError {
         path: PathBuf,
         /// View, from 1.
         view: usize,
-        /// The other view.
         other: usize,
     },
 }
@@ -110,7 +104,6 @@ pub enum CloudsError {
 /// A folder of recorded clouds with its index.
 #[derive(Clone, Debug)]
 pub struct CloudRecording {
-    /// The index.
     pub index: CloudIndex,
     /// BLAKE3 of the index.
     blake3: String,
@@ -157,14 +150,12 @@ impl CloudRecording {
     }
 
     /// The head's file, if the index names one.
-    #[must_use]
     pub fn head(&self) -> Option<PathBuf> {
         let head = self.index.head.as_ref()?;
         Some(self.folder.join(head))
     }
 
     /// Identity of the recording, as results state it.
-    #[must_use]
     pub fn id(&self) -> RecordingId {
         RecordingId {
             taken: self.index.taken,

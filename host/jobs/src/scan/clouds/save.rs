@@ -16,7 +16,6 @@ use flankscope_instrument::acquisition::RecordedIndex;
 
 /// Why clouds were not saved.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum SaveCloudsError {
     /// The session folder cannot be read.
     #[error(transparent)]

@@ -154,7 +154,6 @@ pub enum GearEvaluationError {
     AxisNotFixed,
 }
 
-/// A point near a flank.
 #[derive(Debug, Clone, Copy)]
 struct PointNearFlank {
     /// Roll length, mm.

@@ -29,7 +29,6 @@ pub struct TraceFigures {
     pub points: usize,
 }
 
-/// A point of a trace.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TracePoint {
     /// Position along the trace, mm.
@@ -182,8 +181,11 @@ fn mean_of(trace: &[(f64, f64)]) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::f64::consts::TAU;
+
+    use flankscope_test_requisites::Random;
+
+    use super::*;
 
     fn course(range: [f64; 2], stated_mm: f64, cutoff_mm: f64) -> Course {
         Course {
@@ -250,13 +252,8 @@ mod tests {
     #[test]
     fn the_noise_of_a_smoothed_place_is_how_far_it_scatters() {
         // 2000 traces of 60 points, uneven along it, each astray by a uniform draw of 1 um standard deviation.
-        let mut state = 1_u64;
-        let mut draw = || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        };
+        let mut random = Random(1);
+        let mut draw = || random.uniform() - 0.5;
         let count = 2000;
         let (mut squares, mut variance) = (0.0, 0.0);
         for _ in 0..count {

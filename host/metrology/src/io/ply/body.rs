@@ -27,13 +27,6 @@ pub struct Extra {
 }
 
 impl Extra {
-    /// The value at vertex `index`, or none beyond the end.
-    pub fn get(&self, index: usize) -> Option<f64> {
-        let size = self.kind.size();
-        let bytes = self.bytes.get(index * size..(index + 1) * size)?;
-        Some(self.kind.decode(bytes, false))
-    }
-
     /// All values, in the order of the vertices.
     pub fn values(&self) -> impl Iterator<Item = f64> {
         let each = self.bytes.chunks_exact(self.kind.size());

@@ -12,4 +12,4 @@ pub use body::{Extra, Table, Want, read};
 pub use error::PlyError;
 pub use header::{Encoding, Scalar};
 pub(crate) use write::check_lengths;
-pub use write::{Column, write_mesh, write_triangles};
+pub use write::{Column, write_mesh};

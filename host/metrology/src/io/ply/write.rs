@@ -121,16 +121,3 @@ fn write_faces(out: &mut dyn Write, triangles: &[[u32; 3]]) -> io::Result<()> {
     }
     Ok(())
 }
-
-/// Writes a triangle mesh with double coordinates.
-///
-/// # Errors
-/// Those of `out`.
-pub fn write_triangles(
-    out: &mut dyn Write,
-    comment: &str,
-    vertices: &[[f64; 3]],
-    triangles: &[[u32; 3]],
-) -> io::Result<()> {
-    write_mesh(out, comment, (vertices, Scalar::F64), &[], triangles)
-}

@@ -29,7 +29,6 @@ pub struct Layout {
     pub around: Around,
 }
 
-/// Sums of one cell.
 #[derive(Debug, Clone, Copy, Default)]
 struct CellSums {
     views: u32,

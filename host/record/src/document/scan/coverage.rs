@@ -27,7 +27,6 @@ pub struct Coverage {
 /// A field with too little coverage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hole {
-    /// Tooth.
     pub tooth: u32,
     /// Side of the tooth.
     pub flank: Flank,
@@ -54,7 +53,6 @@ impl Coverage {
     }
 
     /// Why the scan cannot be a "go", if so: less was measured than requested.
-    #[must_use]
     pub fn objection(&self) -> Option<Reason> {
         let first = self.holes.first()?;
         let why = format!(

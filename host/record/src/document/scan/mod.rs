@@ -38,7 +38,6 @@ pub struct Scan {
     pub origin: Origin,
     /// End of the scan: ISO 8601, UTC, by the host's clock.
     pub date: String,
-    /// The verdict.
     pub verdict: Word,
     /// Reason of the verdict, in one sentence.
     pub reason: String,
@@ -119,7 +118,6 @@ pub struct Scan {
 
 impl Scan {
     /// The verdict and its reason.
-    #[must_use]
     pub fn sentence(&self) -> String {
         format!("{}: {}", self.verdict, self.reason)
     }
@@ -205,7 +203,6 @@ impl Scan {
 /// Two opposite teeth across the bore.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct OppositeTeeth {
-    /// The teeth.
     pub teeth: [u32; 2],
     /// Distance of the points on their centre lines at the pitch circle, mm.
     pub distance_mm: f64,

@@ -61,7 +61,6 @@ impl Placement {
     }
 
     /// Why the scan is not a "go", if so: its teeth are not the ones that their numbers say.
-    #[must_use]
     pub fn objection(&self) -> Option<Reason> {
         let turned = self.turned_teeth.is_some_and(|teeth| teeth != 0);
         turned.then(|| Reason::instrument(Code::TurnedDie, &self.reason))

@@ -46,7 +46,6 @@ pub struct StageErrors {
 /// Expanded uncertainties (95 %) of these differences.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StageU95 {
-    /// Of the eccentricity, mm.
     pub eccentricity_mm: f64,
     /// Of the tilt, degrees.
     pub tilt_deg: f64,

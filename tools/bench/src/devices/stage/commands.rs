@@ -11,7 +11,6 @@ use super::errors::{
 const VERSION: &str = "ESP301 Version 3.0.1 6/1/99";
 /// Size of the controller's error buffer; the oldest error is read first.
 const ERRORS_KEPT: usize = 10;
-/// Longest wait, ms.
 const LONGEST_WAIT_MS: f64 = 60_000.0;
 const PROGRAMS: std::ops::RangeInclusive<u32> = 1..=100;
 /// Memory for stored programs, bytes.

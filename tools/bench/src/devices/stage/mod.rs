@@ -109,7 +109,6 @@ impl StageModel {
     }
 
     /// True positions of the stages after the present move.
-    #[must_use]
     pub fn true_destination(&self) -> TruePose {
         self.pose_of(|axis| axis.profile.target())
     }

@@ -16,12 +16,10 @@ const STL_RECORD: usize = 50;
 
 /// Why a file is not a mesh.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum MeshFileError {
     /// The file cannot be read.
     #[error(transparent)]
     Read(std::io::Error),
-    /// The file is empty.
     #[error("the file is empty; a mesh is PLY, STL or OBJ")]
     Empty,
     /// The file has none of the formats.
@@ -50,9 +48,7 @@ pub enum MeshFileError {
         "the PLY header promises {count} of element {element}, at least {need_bytes} bytes, but {have_bytes} bytes are left for it"
     )]
     Short {
-        /// Element.
         element: String,
-        /// Count by the header.
         count: u64,
         /// Smallest size for this count.
         need_bytes: u64,
@@ -64,7 +60,6 @@ pub enum MeshFileError {
         "element {element} number {index} of the PLY body is no row of numbers, or the file ends there"
     )]
     Row {
-        /// Element.
         element: String,
         /// Index, from 0.
         index: u64,
@@ -82,7 +77,6 @@ pub enum MeshFileError {
     Index {
         /// Face or triangle, from 0.
         face: u64,
-        /// Index of the vertex.
         index: f64,
         /// Number of vertices.
         vertices: usize,
@@ -94,7 +88,6 @@ pub enum MeshFileError {
         vertex: usize,
         /// `x`, `y` or `z`.
         axis: char,
-        /// The value.
         value: f64,
     },
     /// The length of a binary STL does not fit its count.
@@ -102,7 +95,6 @@ pub enum MeshFileError {
         "binary STL declares {declared} triangles, which are {need_bytes} bytes, but the file has {have_bytes}; it is truncated, padded or not STL"
     )]
     StlSize {
-        /// Declared triangles.
         declared: u32,
         /// Size for this count.
         need_bytes: u64,
@@ -115,18 +107,11 @@ pub enum MeshFileError {
         /// Number of the last line.
         line: usize,
     },
-    /// The file has vertices but no triangles.
     #[error("the mesh has {vertices} vertices but no triangles")]
-    NoTriangles {
-        /// Vertices.
-        vertices: usize,
-    },
+    NoTriangles { vertices: usize },
 }
 
 /// Reads a mesh whose unit is `unit_mm` millimetres.
-///
-/// # Errors
-/// [`MeshFileError`].
 pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, MeshFileError> {
     let bytes = regular(path)
         .and_then(std::fs::read)

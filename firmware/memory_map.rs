@@ -1,4 +1,4 @@
-//! Hands the memory map and cortex-m-rt's linker script to the linker.
+//! Build script of the board images: hands the memory map and cortex-m-rt's linker script to the linker.
 
 use std::path::PathBuf;
 
@@ -8,6 +8,6 @@ fn main() -> std::io::Result<()> {
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     println!("cargo:rerun-if-changed=memory.x");
-    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=../memory_map.rs");
     Ok(())
 }
