@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Mesh, Meshing};
 use flankscope_metrology::tool::Tool;
-use flankscope_tests::{Run, flankscope, run};
+use flankscope_tests::{Run, demo_gear, flankscope, run};
 
 fn internal() -> GearSpec {
     GearSpec {
@@ -135,6 +135,29 @@ fn a_gear_is_found_wherever_it_lies_and_in_whatever_unit() {
             );
         }
     }
+}
+
+/// The drawing's first tooth lies anywhere; tool and bench must mean the same flank by its number.
+#[test]
+fn what_init_made_is_inspected_on_the_bench() {
+    let spec = GearSpec {
+        turned_rad: 0.3,
+        ..demo_gear()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = spec.mesh(&Meshing::default()).unwrap();
+    std::fs::write(folder.path().join("gear.obj"), obj(&mesh, |p| p)).unwrap();
+    let limits = ["--teeth", "40", "--warn-um", "30", "--limit-um", "50"];
+    let made = init(folder.path(), "gear.obj", &limits);
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let tool = folder.path().join("tool");
+    let check = run(flankscope()
+        .args(["inspect", "--link", "sim", "--speed", "max", "--wear"])
+        .args(["40:left:80", "--json", "-", "--tool"])
+        .arg(&tool));
+    assert_eq!(check.code, 1, "{}", check.stderr);
+    assert_eq!(check.flank(40, "left"), Some("no-go"));
+    assert_eq!(check.flank(40, "right"), Some("go"));
 }
 
 #[test]

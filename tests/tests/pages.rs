@@ -143,8 +143,8 @@ fn the_map_in_space_holds_the_table(browser: &Browser, page: &Path, table: &str)
     ];
     assert_eq!(said[..3], counts);
     let ends = [
-        um.iter().copied().fold(0.0, f64::min),
-        um.iter().copied().fold(0.0, f64::max),
+        um.iter().copied().fold(f64::INFINITY, f64::min),
+        um.iter().copied().fold(f64::NEG_INFINITY, f64::max),
     ];
     for (said, told) in said[3..].iter().zip(ends) {
         let said: f64 = said.parse().unwrap();

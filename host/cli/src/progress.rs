@@ -1,6 +1,6 @@
 //! Progress of a run, on standard error.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use flankscope_instrument::acquisition::Progress;
 
@@ -70,4 +70,46 @@ impl Watcher {
         let named = self.names.get(view).cloned();
         named.unwrap_or_else(|| format!("view {}", view + 1))
     }
+}
+
+/// Prints how many of many alike steps are done and what time remains, now and then.
+pub struct Countdown {
+    quiet: bool,
+    what: &'static str,
+    of: usize,
+    begun: Instant,
+    printed: Instant,
+}
+
+impl Countdown {
+    /// Time between two lines.
+    const BETWEEN: Duration = Duration::from_secs(2);
+
+    /// Silent if `quiet`, and in the first two seconds. `what` are the steps, as in "views".
+    pub fn new(quiet: bool, what: &'static str, of: usize) -> Self {
+        let begun = Instant::now();
+        Self {
+            quiet,
+            what,
+            of,
+            begun,
+            printed: begun,
+        }
+    }
+
+    /// A step is done, the number `done` of them.
+    pub fn step(&mut self, done: usize) {
+        if self.quiet || self.printed.elapsed() < Self::BETWEEN {
+            return;
+        }
+        self.printed = Instant::now();
+        let pace = self.begun.elapsed() / u32::try_from(done.max(1)).unwrap_or(u32::MAX);
+        say_remaining(self.what, [done, self.of], pace * (self.of - done) as u32);
+    }
+}
+
+/// Prints a line of progress: steps done, of how many, and the remaining time.
+pub fn say_remaining(what: &str, [done, of]: [usize; 2], remaining: Duration) {
+    let seconds = remaining.as_secs_f64().round();
+    say(&format!("{done:>4} of {of} {what}, {seconds} s to go"));
 }

@@ -13,6 +13,7 @@ use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{self, seals};
 use crate::output::{Common, Outcome, say};
+use crate::progress::Countdown;
 
 /// Recompute a stored verdict from its phasors and list everything that is not the same to the last bit.
 ///
@@ -101,7 +102,9 @@ fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outc
     let (mut replayed, mut given_up) = (0, 0);
     let mut differing = BTreeMap::new();
     let ids = history.ids()?;
-    for &id in &ids {
+    let mut countdown = Countdown::new(args.common.quiet, "checks", ids.len());
+    for (done, &id) in ids.iter().enumerate() {
+        countdown.step(done);
         let differences = match Replay::of(history, id, subject) {
             Ok(replay) => {
                 replayed += 1;

@@ -32,6 +32,7 @@ use crate::inspect::{self, write_origin};
 use crate::instrument::{Instrument, recorded_subject, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
+use crate::progress::say_remaining;
 use crate::scene::Scene;
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
@@ -439,10 +440,7 @@ fn show(progress: Progress) {
             done,
             of,
             remaining,
-        } => say(&format!(
-            "{done:>4} of {of} views, {} s to go",
-            remaining.as_secs_f64().round()
-        )),
+        } => say_remaining("views", [done, of], remaining),
         Progress::Recapture(view) => say(&format!("view {} is captured again", view + 1)),
         Progress::Stitching => say("all views are laid on the CAD together"),
     }

@@ -73,7 +73,7 @@ struct Map<'a> {
 /// Errors of the template engine; none occur when formatting to memory.
 pub fn article_html(article: &Article) -> Result<String, askama::Error> {
     let mut facts: Vec<Fact> = vec![
-        ("date (UTC)", article.date.clone()),
+        (crate::DATE, article.date.clone()),
         ("tool", article.tool.clone()),
     ];
     let named = |key: &str| article.of.get(key).cloned();

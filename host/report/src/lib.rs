@@ -49,9 +49,12 @@ of 5 % either way; damage with a smaller mean loss over every disc may not be no
 type Fact = (&'static str, String);
 
 /// Entries below every title.
+/// Name of the date among the facts; the page adds the local time.
+const DATE: &str = "date (UTC)";
+
 fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Origin) -> Vec<Fact> {
     let mut facts = vec![
-        ("date (UTC)", date.to_owned()),
+        (DATE, date.to_owned()),
         ("tool", tool.to_owned()),
         ("check", check),
     ];

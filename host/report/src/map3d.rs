@@ -335,7 +335,7 @@ mod tests {
             verdict: Word::NoGo,
             reason: "worn".into(),
             simulated: true,
-            facts: vec![("date (UTC)", "2026-01-31T12:00:05Z".into())],
+            facts: vec![(crate::DATE, "2026-01-31T12:00:05Z".into())],
             full_um: 100.0,
             limits_um: Some([30.0, 50.0]),
             axes: ["along / mm", "mm up"],

@@ -55,6 +55,14 @@ fn variants() -> Vec<(&'static str, GearSpec, Meshing)> {
             Meshing::default(),
         ),
         (
+            "internal, turned",
+            GearSpec {
+                turned_rad: 0.3,
+                ..die()
+            },
+            Meshing::default(),
+        ),
+        (
             "internal, sliced",
             die(),
             Meshing {
