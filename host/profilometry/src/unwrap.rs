@@ -18,7 +18,15 @@ pub const MIN_SEPARATION: f64 = 10.0;
 
 /// The phase closest to `expected_rad` among all that differ from `wrapped_rad` by whole turns.
 pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
-    wrapped_rad + TAU * ((expected_rad - wrapped_rad) / TAU).round()
+    wrapped_rad + TAU * nearest_whole((expected_rad - wrapped_rad) / TAU)
+}
+
+/// The nearest whole number below 2^51, the even one at halves, by the rounding of an addition: [`f64::round`] is a call of the
+/// mathematical library on processors of the x86-64 baseline, and this is asked for every order of every cell.
+fn nearest_whole(value: f64) -> f64 {
+    // 1.5 * 2^52: from here to twice as much a float has no fraction.
+    const NO_FRACTION: f64 = 6_755_399_441_055_744.0;
+    (value + NO_FRACTION) - NO_FRACTION
 }
 
 /// Clue of one frequency other than the finest to the projector column.
@@ -89,6 +97,9 @@ pub struct Decision {
     pub agreed: bool,
 }
 
+/// Orders of which the chi-square is kept; the built-in sets have at most 48.
+const KEPT_ORDERS: usize = 64;
+
 /// Keeps noiseless clues finite; far below any camera.
 const LEAST_VARIANCE_RAD2: f64 = 1e-16;
 
@@ -133,9 +144,22 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
     let lowest_rad = ladder.middle_rad - 0.5 * TAU * ladder.orders as f64;
     let first = ((lowest_rad - wrapped_rad) / TAU).ceil();
     let phase_rad = |order: usize| wrapped_rad + TAU * (first + order as f64);
+    // Clue by clue over all orders, which the compiler vectorises.
+    let mut kept = [0.0; KEPT_ORDERS];
+    let kept = &mut kept[..ladder.orders.min(KEPT_ORDERS)];
+    for clue in clues {
+        let variance_rad2 = clue.variance_rad2();
+        for (order, chi_square) in kept.iter_mut().enumerate() {
+            *chi_square += clue.residual_rad(phase_rad(order)).powi(2) / variance_rad2;
+        }
+    }
+    let chi_square = |order: usize| match kept.get(order) {
+        Some(&kept) => kept,
+        None => weights.chi_square(phase_rad(order)),
+    };
     let (mut best, mut least) = (0, f64::INFINITY);
     for order in 0..ladder.orders {
-        let found = weights.chi_square(phase_rad(order));
+        let found = chi_square(order);
         if found < least {
             (best, least) = (order, found);
         }
@@ -151,12 +175,18 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
         },
         agreed: true,
     };
-    for other in (0..ladder.orders).filter(|&other| other != best) {
-        let absolute_rad = phase_rad(other);
-        if (absolute_rad - ladder.middle_rad).abs() > ladder.expected_rad {
+    let is_expected = |order: &usize| {
+        let from_middle_rad = (phase_rad(*order) - ladder.middle_rad).abs();
+        *order < ladder.orders && !(from_middle_rad > ladder.expected_rad)
+    };
+    for away in 1..ladder.orders {
+        // Orders as far below as above are as hard to tell apart.
+        let others = [best.checked_sub(away), Some(best + away)];
+        let mut others = others.into_iter().flatten().filter(is_expected).peekable();
+        if others.peek().is_none() {
             continue;
         }
-        let (square, separation) = weights.step(other as f64 - best as f64);
+        let (square, separation) = weights.step(away as f64);
         // A NaN must not be lost in the minimum.
         let nearer = !(separation >= decision.separation);
         decision.separation = if nearer {
@@ -164,7 +194,7 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
         } else {
             decision.separation
         };
-        decision.agreed &= weights.chi_square(absolute_rad) - least >= 0.5 * square;
+        decision.agreed &= others.all(|other| chi_square(other) - least >= 0.5 * square);
     }
     decision
 }
@@ -231,6 +261,45 @@ mod tests {
             own_variance_rad2: sigma_rad * sigma_rad,
             shared_rad: ratio * finest_sigma_rad,
         }
+    }
+
+    #[test]
+    fn a_turn_is_counted_as_by_rounding() {
+        let mut random = Random(5);
+        for exponent in -3..40 {
+            let value = random.normal() * 2f64.powi(exponent);
+            assert_eq!(nearest_whole(value), value.round_ties_even(), "{value}");
+        }
+        assert_eq!([-0.5, 0.5, 1.5].map(nearest_whole), [0.0, 0.0, 2.0]);
+        assert!(nearest_whole(f64::NAN).is_nan());
+        assert_eq!(nearest_whole(f64::INFINITY), f64::INFINITY);
+    }
+
+    /// Orders beyond those that are kept are judged by the same figures.
+    #[test]
+    fn many_orders_are_judged_like_few() {
+        let clues = [1.0, 16.0].map(|periods: f64| {
+            let ratio = periods / 128.0;
+            clue(ratio, wrap(ratio * (0.7 + 90.0 * TAU)), 0.02, 0.02)
+        });
+        let ladder = Ladder {
+            middle_rad: 64.0 * TAU,
+            orders: 128,
+            expected_rad: f64::INFINITY,
+        };
+        let found = decide(&clues, 0.7, &ladder);
+        assert!(
+            (found.absolute_rad - (0.7 + 90.0 * TAU)).abs() < 1e-9,
+            "{found:?}"
+        );
+        let near = Ladder {
+            middle_rad: 90.0 * TAU,
+            orders: 60,
+            ..ladder
+        };
+        let alone = decide(&clues, 0.7, &near);
+        assert_eq!(alone.absolute_rad, found.absolute_rad);
+        assert!((alone.separation - found.separation).abs() < 1e-9);
     }
 
     /// Against trying every order of every frequency and keeping the most consistent combination.
