@@ -196,23 +196,24 @@ fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
     let watched = run(command.arg(&station).stdin(std::process::Stdio::null()));
     let checks = watched.json["checks"].as_array().unwrap();
     assert!(checks.len() >= 3, "{} {}", checks.len(), watched.stderr);
+    // One check has the wrong answer: the third, unless an earlier one asked more than once.
+    let words = "answered for view 9 when it was asked for view 3";
+    let mut refused = 0;
     for (number, check) in checks.iter().enumerate() {
         let inspection = &check["inspection"];
         let said = inspection["features"].to_string();
-        if number == 2 {
+        if said.contains(words) {
+            refused += 1;
             assert_eq!(inspection["verdict"], "indeterminate", "{said}");
-            let words = "answered for view 9 when it was asked for view 3";
-            assert!(said.contains(words), "{said}");
         } else {
             assert_eq!(inspection["verdict"], "no-go", "{number}: {said}");
         }
     }
+    assert_eq!(refused, 1);
     let asked = fs::read_to_string(&noted).unwrap();
     let asked: Vec<usize> = asked.lines().map(|line| line.parse().unwrap()).collect();
-    assert!(
-        asked.starts_with(&(1..=checks.len()).collect::<Vec<_>>()),
-        "{asked:?}"
-    );
+    assert!(asked.len() >= checks.len(), "{asked:?}");
+    assert_eq!(asked, (1..=asked.len()).collect::<Vec<_>>());
 }
 
 /// What measures by the stages says so, instead of never asking for the poses; and what an arm may not do says why.

@@ -189,9 +189,19 @@ impl ReportFolder {
         }
     }
 
-    /// Writes the page under the fixed name and its own name, then the index. `date` is ISO 8601, UTC.
-    fn put_page(&self, page: &str, date: &str, what: &str, verdict: Word) -> Result<(), SinkError> {
+    /// Writes the page under the fixed name, its maps in space if there are any, the page under its own name, then the index. `date`
+    /// is ISO 8601, UTC.
+    fn put_page(
+        &self,
+        [page, map3d]: [&str; 2],
+        date: &str,
+        what: &str,
+        verdict: Word,
+    ) -> Result<(), SinkError> {
         self.write(PAGE, page)?;
+        if !map3d.is_empty() {
+            self.write(MAP3D, map3d)?;
+        }
         let pages = self.0.join(Self::PAGES);
         make_folder_within(&pages).map_err(|source| SinkError::Write {
             path: pages.clone(),
@@ -241,16 +251,9 @@ impl ReportFolder {
         let what = check
             .id
             .map_or_else(|| "check".into(), |id| format!("check-{id}"));
-        self.write(
-            MAP3D,
-            &map3d_source::from_check(check).page().map_err(no_page)?,
-        )?;
-        self.put_page(
-            &super::html(check).map_err(no_page)?,
-            &check.date,
-            &what,
-            check.verdict,
-        )
+        let page = super::html(check).map_err(no_page)?;
+        let map3d = map3d_source::from_check(check).page().map_err(no_page)?;
+        self.put_page([&page, &map3d], &check.date, &what, check.verdict)
     }
 }
 
@@ -282,16 +285,9 @@ impl ResultSink<Scan> for ReportFolder {
             None => self.remove("gear.csv")?,
         }
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
-        self.write(
-            MAP3D,
-            &map3d_source::from_scan(scan).page().map_err(no_page)?,
-        )?;
-        self.put_page(
-            &super::scan_html(scan).map_err(no_page)?,
-            &scan.date,
-            "scan",
-            scan.verdict,
-        )
+        let page = super::scan_html(scan).map_err(no_page)?;
+        let map3d = map3d_source::from_scan(scan).page().map_err(no_page)?;
+        self.put_page([&page, &map3d], &scan.date, "scan", scan.verdict)
     }
 }
 
@@ -361,7 +357,7 @@ mod tests {
                 format!("2026-01-31T12:00:0{number}Z"),
                 format!("check-{number}"),
             );
-            pages.put_page("page", &date, &what, verdict).unwrap();
+            pages.put_page(["page", ""], &date, &what, verdict).unwrap();
         }
         let own = folder.path().join(ReportFolder::PAGES);
         std::fs::write(own.join("notes.html"), "somebody's").unwrap();
@@ -393,7 +389,7 @@ mod tests {
         for (number, verdict) in [Word::Go, Word::Go, Word::NoGo].into_iter().enumerate() {
             let page = format!("<a href=\"./flanks.csv\">page {number}</a>");
             pages
-                .put_page(&page, "2026-01-31T12:00:05Z", "check", verdict)
+                .put_page([&page, ""], "2026-01-31T12:00:05Z", "check", verdict)
                 .unwrap();
         }
         assert!(text("report.html").contains("./flanks.csv\">page 2"));

@@ -449,8 +449,8 @@ mod tests {
         map.parts[1].mark = hostile.into();
         let page = map.page().unwrap();
         assert!(!page.contains("<b>") && !page.contains("<!--"), "{page}");
-        // The data and the program, each with its end.
-        assert_eq!(page.matches("</script>").count(), 2);
+        // The data, the program, and the local time of every page, each with its end.
+        assert_eq!(page.matches("</script>").count(), 3);
         assert_eq!(data_of(&page)["parts"][1]["name"].as_str(), Some(hostile));
     }
 
