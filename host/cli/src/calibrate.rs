@@ -10,20 +10,19 @@ use flankscope_foundation::date::Date;
 use flankscope_frames::SharedRoot;
 use flankscope_jobs::calibration::{
     Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
-    board_artwork, save_self_test, target_artwork,
+    save_self_test,
 };
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Captures, Target};
 use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
 use flankscope_record::seal::{Kind, toml_document};
-use flankscope_report::artwork_svg;
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::calibrate_autofocus;
 use crate::calibrate_board::{self, Order};
+use crate::calibrate_drawing;
 use crate::calibrate_focus::{self, FocusArgs};
-use crate::geometry::{tell, write_file};
 use crate::help;
 use crate::instrument::{Instrument, fits_bench, scratch, seals};
 use crate::interrupt;
@@ -94,9 +93,6 @@ pub struct Args {
     bench: BenchArgs,
 }
 
-/// Why a calibration asks for no poses.
-const HAND_EYE: &str = "a calibration finds the head's place on its stages";
-
 #[derive(Serialize)]
 struct CheckDocument<'a> {
     head: &'a Path,
@@ -139,7 +135,8 @@ struct Elapsed {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     if let Some(drawing) = &args.drawing {
-        return draw(args, drawing);
+        let (target, board) = (args.target.as_deref(), args.board.as_deref());
+        return calibrate_drawing::run(drawing, target, board, &args.common);
     }
     if let (Some(images), Some(output)) = (&args.images, &args.output)
         && (args.board.is_some() || args.target.is_none() && !images.join(Captures::FILE).is_file())
@@ -196,11 +193,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             }
             let job = Job {
                 args,
-                site: args
-                    .place
-                    .site(&[of_target])?
-                    .with_own_stages("a calibration")?
-                    .by_its_stages(HAND_EYE)?,
+                site: site_of_its_stages(args, &[of_target])?,
                 folder: &folder,
                 target,
                 output,
@@ -214,49 +207,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
 }
 
-#[derive(Serialize)]
-struct DrawingDocument<'a> {
-    drawing: &'a Path,
-    size_mm: [f64; 2],
-    marks: usize,
-    pitch_mm: f64,
-    tolerance_mm: Option<f64>,
-}
-
-/// Draws what is printed on plates or board.
-fn draw(args: &Args, drawing: &Path) -> anyhow::Result<Outcome> {
-    args.common.try_json()?;
-    let artwork = match (&args.board, &args.target) {
-        (Some(board), _) => board_artwork(board)?,
-        (None, Some(folder)) => {
-            let target = Target::load(&folder.join("target.toml")).context("target")?;
-            let head = folder.join("head.toml");
-            let head = HeadModel::load(&head).context("head, for which the plates are")?;
-            target_artwork(&target, &head)?
-        }
-        (None, None) => bail!(
-            "--drawing draws the plates of --target DIR or the board of --board BOARD.toml: name one"
-        ),
-    };
-    let svg = artwork_svg(&artwork);
-    write_file(drawing, |out| out.write_all(svg.as_bytes()))?;
-    let [across, up] = artwork.size_mm;
-    let marks = artwork.marks.len();
-    args.common.write_json(&DrawingDocument {
-        drawing,
-        size_mm: artwork.size_mm,
-        marks,
-        pitch_mm: artwork.pitch_mm,
-        tolerance_mm: artwork.tolerance_mm,
-    })?;
-    tell(&args.common, || {
-        format!(
-            "{}: {marks} marks on {across} x {up} mm -> {}",
-            artwork.title,
-            drawing.display()
-        )
-    });
-    Ok(Outcome::Done)
+/// The station, which must move and know the head by its own stages.
+fn site_of_its_stages(args: &Args, required: &[(&str, bool)]) -> anyhow::Result<Site> {
+    let site = args.place.site(required)?;
+    site.with_own_stages("a calibration")?
+        .by_its_stages("a calibration finds the head's place on its stages")
 }
 
 /// Finds the setting at which the camera is sharp on the target's blank plate, and writes the head for it if requested.
@@ -279,10 +234,7 @@ fn autofocus(
         None => HeadModel::load(&folder.join("head.toml")).context("head to start from")?,
     };
     has_one_projector(&head, "--autofocus")?;
-    let site = args.place.site(&[of_target])?;
-    let site = site
-        .with_own_stages("a calibration")?
-        .by_its_stages(HAND_EYE)?;
+    let site = site_of_its_stages(args, &[of_target])?;
     begin(args, &site, target, &head)?;
     let settings = &site.settings;
     let mut search = open(args, &site, folder, |root| {
@@ -352,10 +304,7 @@ fn check(
         "--check of a head that is not known to be the bench's",
         made != Some(true),
     );
-    let site = args.place.site(&[of_target, of_head])?;
-    let site = site
-        .with_own_stages("a calibration")?
-        .by_its_stages(HAND_EYE)?;
+    let site = site_of_its_stages(args, &[of_target, of_head])?;
     let setting = &site.setting;
     site.takes_head(&head)?;
     begin(args, &site, &target, &head)?;

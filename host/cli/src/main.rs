@@ -12,6 +12,7 @@ mod bench_link;
 mod calibrate;
 mod calibrate_autofocus;
 mod calibrate_board;
+mod calibrate_drawing;
 mod calibrate_focus;
 mod camera_process;
 mod clean;

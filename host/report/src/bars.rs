@@ -135,7 +135,26 @@ fn bar(
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use flankscope_record::document::FeatureId;
+    use flankscope_metrology::gear::{GearData, GearKind};
+    use flankscope_record::document::{FeatureId, Toothing};
+
+    /// An internal gear with a tooth on +x.
+    pub fn toothing() -> Toothing {
+        Toothing {
+            gear: GearData {
+                kind: GearKind::Internal,
+                teeth: 84,
+                module_mm: 1.0,
+                pressure_angle_deg: 20.0,
+                tip_radius_mm: 41.0,
+                root_radius_mm: 43.25,
+                first_tooth_centre_deg: 0.0,
+                height_mm: [0.0, 66.0],
+                radial_threshold_mm: 50.0,
+            },
+            zone_radius_mm: [41.2, 43.0],
+        }
+    }
 
     /// A flank that was judged.
     pub fn feature(tooth: u32, flank: Flank, wear_um: Option<f64>, verdict: Word) -> Feature {

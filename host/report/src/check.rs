@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use askama::Template;
 use flankscope_metrology::verdict::{Code, Word};
 
-use super::{Fact, Words, chart, colour, facts, numbered, ring};
+use super::{Fact, Words, chart, colour, facts, limits_um, numbered, ring};
 use flankscope_profilometry::Picture;
 use flankscope_record::document::{FlankInView, FlankMap, Inspection};
 
@@ -53,18 +53,12 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
     let full_um = full_scale_um(inspection);
     let pictures = &inspection.pictures;
     let maps = pictures.maps.iter();
-    let limits_um = inspection.features.first().map(|f| [f.warn_um, f.limit_um]);
+    let limits_um = limits_um(&inspection.features);
     let details = inspection.features.iter().filter_map(|f| f.detail.as_ref());
     let page = Page {
         inspection,
         simulated: inspection.origin.simulated,
-        facts: facts(
-            &inspection.date,
-            &inspection.tool,
-            numbered(inspection.id),
-            Some(inspection.press_cycles.into()),
-            &inspection.origin,
-        ),
+        facts: facts_of(inspection),
         words: Words::of(inspection.features.iter().map(|f| &f.id)),
         remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
         sources: details
@@ -88,6 +82,17 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         max_abs_um: full_um,
     };
     page.render()
+}
+
+/// Entries below the title of a check.
+pub(super) fn facts_of(inspection: &Inspection) -> Vec<Fact> {
+    facts(
+        &inspection.date,
+        &inspection.tool,
+        numbered(inspection.id),
+        Some(inspection.press_cycles.into()),
+        &inspection.origin,
+    )
 }
 
 /// Half of the colour scale's range: twice the stop limit, so that a violated limit is dark but not at the end of the scale.

@@ -193,13 +193,14 @@ impl ReportFolder {
     /// is ISO 8601, UTC.
     fn put_page(
         &self,
-        [page, map3d]: [&str; 2],
+        page: &str,
+        map3d: Option<&str>,
         date: &str,
         what: &str,
         verdict: Word,
     ) -> Result<(), SinkError> {
         self.write(PAGE, page)?;
-        if !map3d.is_empty() {
+        if let Some(map3d) = map3d {
             self.write(MAP3D, map3d)?;
         }
         let pages = self.0.join(Self::PAGES);
@@ -253,7 +254,7 @@ impl ReportFolder {
             .map_or_else(|| "check".into(), |id| format!("check-{id}"));
         let page = super::html(check).map_err(no_page)?;
         let map3d = map3d_source::from_check(check).page().map_err(no_page)?;
-        self.put_page([&page, &map3d], &check.date, &what, check.verdict)
+        self.put_page(&page, Some(&map3d), &check.date, &what, check.verdict)
     }
 }
 
@@ -287,7 +288,7 @@ impl ResultSink<Scan> for ReportFolder {
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
         let page = super::scan_html(scan).map_err(no_page)?;
         let map3d = map3d_source::from_scan(scan).page().map_err(no_page)?;
-        self.put_page([&page, &map3d], &scan.date, "scan", scan.verdict)
+        self.put_page(&page, Some(&map3d), &scan.date, "scan", scan.verdict)
     }
 }
 
@@ -357,7 +358,7 @@ mod tests {
                 format!("2026-01-31T12:00:0{number}Z"),
                 format!("check-{number}"),
             );
-            pages.put_page(["page", ""], &date, &what, verdict).unwrap();
+            pages.put_page("page", None, &date, &what, verdict).unwrap();
         }
         let own = folder.path().join(ReportFolder::PAGES);
         std::fs::write(own.join("notes.html"), "somebody's").unwrap();
@@ -389,7 +390,7 @@ mod tests {
         for (number, verdict) in [Word::Go, Word::Go, Word::NoGo].into_iter().enumerate() {
             let page = format!("<a href=\"./flanks.csv\">page {number}</a>");
             pages
-                .put_page([&page, ""], "2026-01-31T12:00:05Z", "check", verdict)
+                .put_page(&page, None, "2026-01-31T12:00:05Z", "check", verdict)
                 .unwrap();
         }
         assert!(text("report.html").contains("./flanks.csv\">page 2"));

@@ -48,10 +48,10 @@ of 5 % either way; damage with a smaller mean loss over every disc may not be no
 /// An entry on the origin of a result: its name and value.
 type Fact = (&'static str, String);
 
-/// Entries below every title.
 /// Name of the date among the facts; the page adds the local time.
 const DATE: &str = "date (UTC)";
 
+/// Entries below every title.
 fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Origin) -> Vec<Fact> {
     let mut facts = vec![
         (DATE, date.to_owned()),
@@ -61,6 +61,11 @@ fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Or
     facts.extend(cycles.map(|cycles| ("cycles", cycles.to_string())));
     facts.extend(origin.particulars());
     facts
+}
+
+/// Warn and stop limit of the loss, µm; those of the first flank stand for all.
+fn limits_um(features: &[Feature]) -> Option<[f64; 2]> {
+    features.first().map(|of| [of.warn_um, of.limit_um])
 }
 
 /// A check, with its number in the history.

@@ -4,7 +4,7 @@ use flankscope_metrology::gear::{Flank, GearData, GearKind};
 use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap};
 
 use super::map3d::{Grid, Map3d, Part};
-use super::{check, facts, numbered, ring, scan};
+use super::{check, limits_um, ring, scan};
 use flankscope_record::document::scan::Scan;
 use flankscope_record::document::{Feature, FeatureId, FlankMap, Inspection, Toothing};
 
@@ -52,15 +52,9 @@ pub(super) fn from_check(inspection: &Inspection) -> Map3d {
         verdict: inspection.verdict,
         reason: inspection.reason.clone(),
         simulated: inspection.origin.simulated,
-        facts: facts(
-            &inspection.date,
-            &inspection.tool,
-            numbered(inspection.id),
-            Some(inspection.press_cycles.into()),
-            &inspection.origin,
-        ),
+        facts: check::facts_of(inspection),
         full_um: check::full_scale_um(inspection),
-        limits_um: inspection.features.first().map(|f| [f.warn_um, f.limit_um]),
+        limits_um: limits_um(&inspection.features),
         axes: if patches { OF_PATCH } else { OF_FLANK },
         bore: false,
         parts: maps
@@ -148,15 +142,9 @@ pub(super) fn from_scan(scan: &Scan) -> Map3d {
         verdict: scan.verdict,
         reason: scan.reason.clone(),
         simulated: scan.origin.simulated,
-        facts: facts(
-            &scan.date,
-            &scan.tool,
-            "in no history, as all scans".into(),
-            None,
-            &scan.origin,
-        ),
+        facts: scan::facts_of(scan),
         full_um: scan::full_scale_um(scan),
-        limits_um: scan.features.first().map(|f| [f.warn_um, f.limit_um]),
+        limits_um: limits_um(&scan.features),
         axes: OF_FLANK,
         bore: scan.toothing.as_ref().is_none_or(internal),
         parts,
@@ -168,14 +156,16 @@ pub(super) fn from_scan(scan: &Scan) -> Map3d {
 /// The flank on which most of a column's cells lie; none on lands.
 fn flank_of(map: &CylinderMap, gear: &GearData, column: usize) -> Option<(u32, Flank)> {
     let cells = (0..map.layout().rows).filter_map(|row| map.cell(row, column));
-    let found: Vec<Option<(u32, Flank)>> = cells
-        .map(|cell| {
-            gear.place(cell.point, cell.normal)
-                .map(|at| (at.tooth, at.flank))
-        })
-        .collect();
-    let count = |of: &Option<(u32, Flank)>| found.iter().filter(|other| *other == of).count();
-    *found.iter().max_by_key(|of| count(of))?
+    // A column crosses few flanks; of equal counts the flank highest up is taken, as it is moved to the end with every cell.
+    let mut counts: Vec<(Option<(u32, Flank)>, usize)> = Vec::new();
+    for cell in cells {
+        let place = gear.place(cell.point, cell.normal);
+        let flank = place.map(|at| (at.tooth, at.flank));
+        let before = counts.iter().position(|(of, _)| *of == flank);
+        let count = before.map_or(0, |at| counts.remove(at).1);
+        counts.push((flank, count + 1));
+    }
+    counts.into_iter().max_by_key(|(_, count)| *count)?.0
 }
 
 fn flank_by_flank(
@@ -269,21 +259,15 @@ fn columns(map: &CylinderMap, run: &[usize], part: Option<usize>) -> Grid {
 
 #[cfg(test)]
 mod tests {
+    use super::super::bars::tests::toothing;
     use flankscope_metrology::multiview::cylinder::{Around, CellObservation, Layout};
 
     use super::*;
 
     fn gear() -> GearData {
         GearData {
-            kind: GearKind::Internal,
-            teeth: 84,
-            module_mm: 1.0,
-            pressure_angle_deg: 20.0,
-            tip_radius_mm: 41.0,
-            root_radius_mm: 43.25,
             first_tooth_centre_deg: 180.0 / 84.0,
-            height_mm: [0.0, 66.0],
-            radial_threshold_mm: 50.0,
+            ..toothing().gear
         }
     }
 

@@ -278,25 +278,8 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
 
 #[cfg(test)]
 mod tests {
-    use super::super::bars::tests::feature;
+    use super::super::bars::tests::{feature, toothing};
     use super::*;
-
-    fn toothing() -> Toothing {
-        Toothing {
-            gear: GearData {
-                kind: GearKind::Internal,
-                teeth: 84,
-                module_mm: 1.0,
-                pressure_angle_deg: 20.0,
-                tip_radius_mm: 41.0,
-                root_radius_mm: 43.25,
-                first_tooth_centre_deg: 0.0,
-                height_mm: [0.0, 66.0],
-                radial_threshold_mm: 50.0,
-            },
-            zone_radius_mm: [41.2, 43.0],
-        }
-    }
 
     /// First point of the first path of a class.
     fn begin(svg: &str, class: &str) -> [f64; 2] {

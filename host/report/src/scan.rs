@@ -9,7 +9,7 @@ use flankscope_metrology::multiview::cylinder::Cell;
 use flankscope_metrology::verdict::Word;
 
 use super::plot::{Axes, Scale, Series, binned};
-use super::{Fact, bars, chart, colour, facts, figure, ring};
+use super::{Fact, bars, chart, colour, facts, figure, limits_um, ring};
 use flankscope_record::document::scan::{
     Adjustment, Metrics, OppositeTeeth, Scan, ScanRegistration, StageErrors, percent,
 };
@@ -93,20 +93,14 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let off = |of: &OppositeTeeth| of.deviation_um.abs();
     spacing.sort_by(|a, b| off(b).total_cmp(&off(a)));
     spacing.truncate(WORST_SPACINGS);
-    let limits_um = scan.features.first().map(|f| [f.warn_um, f.limit_um]);
+    let limits_um = limits_um(&scan.features);
     let deviation = |cell: &Cell| colour::diverging(cell.deviation_mm * 1e3 / full_um);
     let seen =
         |cell: &Cell| colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)));
     let page = Page {
         scan,
         simulated: scan.origin.simulated,
-        facts: facts(
-            &scan.date,
-            &scan.tool,
-            "in no history, as all scans".into(),
-            None,
-            &scan.origin,
-        ),
+        facts: facts_of(scan),
         percent: percent(scan.coverage_ratio),
         registered: scan.registration.len() - lost.clone().count(),
         summary: summary(scan),
@@ -190,6 +184,17 @@ fn joint<'a>(scan: &Scan, adjustment: &'a Adjustment) -> Joint<'a> {
         harmonics: harmonics(scan, &adjustment.found),
         residual: (count > 0).then(|| ((sum / count as f64).sqrt(), count)),
     }
+}
+
+/// Entries below the title of a scan.
+pub(super) fn facts_of(scan: &Scan) -> Vec<Fact> {
+    facts(
+        &scan.date,
+        &scan.tool,
+        "in no history, as all scans".into(),
+        None,
+        &scan.origin,
+    )
 }
 
 /// Half of the pictures' range: contains 99 of 100 cells and the stop limits, rounded.

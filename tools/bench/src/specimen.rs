@@ -125,8 +125,8 @@ fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {
         tip_radius_mm: gear.tip_radius_mm,
         root_radius_mm: gear.root_radius_mm,
         root_fillet_radius_mm: 0.0,
-        turned_rad: gear.first_tooth_centre_deg.to_radians()
-            - std::f64::consts::PI / f64::from(gear.teeth),
+        // Of a die with a space on +x exactly zero.
+        turned_rad: (gear.first_tooth_centre_deg - 180.0 / f64::from(gear.teeth)).to_radians(),
         body_radius_mm: cad
             .vertices
             .iter()

@@ -92,13 +92,13 @@ pub(super) fn coverage(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use flankscope_metrology::multiview::cylinder::{Around, CellObservation, Layout};
 
     const TEETH: u32 = 84;
 
-    fn gear() -> GearData {
+    pub fn gear() -> GearData {
         GearData {
             kind: flankscope_metrology::gear::GearKind::Internal,
             teeth: TEETH,

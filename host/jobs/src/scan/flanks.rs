@@ -435,21 +435,8 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
 
 #[cfg(test)]
 mod tests {
+    use super::super::coverage::tests::gear;
     use super::*;
-
-    fn gear() -> GearData {
-        GearData {
-            kind: flankscope_metrology::gear::GearKind::Internal,
-            teeth: 84,
-            module_mm: 1.0,
-            pressure_angle_deg: 20.0,
-            tip_radius_mm: 41.0,
-            root_radius_mm: 43.25,
-            first_tooth_centre_deg: 180.0 / 84.0,
-            height_mm: [0.0, 66.0],
-            radial_threshold_mm: 50.0,
-        }
-    }
 
     /// Heights of tooth 7 if a scan of some teeth also covers this distance beside each.
     fn zones(teeth: u32, layers: u32, beside_pitches: f64) -> Vec<[f64; 2]> {
