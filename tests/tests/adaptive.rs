@@ -191,8 +191,8 @@ fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
     // 0.1 mm is 12 mirrors at the near end of the volume; a block more for rounding, one for the block's own size.
     let reach = 24.0;
     let (mut inside, mut dark, mut other) = ([0; 3], 0, 0);
-    for row in (3..768).step_by(31) {
-        for column in (5..1024).step_by(7) {
+    for row in (3..768).step_by(53) {
+        for column in (5..1024).step_by(11) {
             let at = row * 1024 + column;
             let near = |step: f64| {
                 let offsets = [
@@ -228,7 +228,8 @@ fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
         }
     }
     println!("{inside:?} mirrors in their own pass, {dark} dark in others, of {other}");
-    assert!(inside[0] > 200 && inside[1] > 200 && inside[2] > 100 && dark > 100);
+    // Of 1 400 mirrors a good part lies well inside a region.
+    assert!(inside[0] > 80 && inside[1] > 80 && inside[2] > 40 && dark > 40);
     // Three passes of twelve frames and one dark frame of the head's exposures.
     let frames = json["time"]["frames"].as_u64().unwrap();
     let plain_frames = json["time"]["plain_frames"].as_u64().unwrap();

@@ -184,12 +184,7 @@ mod by_mesh {
 
     #[test]
     fn upper_third_and_quarter() {
-        let cases = [
-            (0.25, 60.0),
-            (1.0 / 3.0, 200.0),
-            (0.25, 200.0),
-            (1.0 / 3.0, 60.0),
-        ];
+        let cases = [(0.25, 60.0), (1.0 / 3.0, 200.0)];
         for &(share, depth_um) in at_least(1, &cases) {
             let folder = upper(share, 1e-3 * depth_um);
             let mesh = folder.path().join("die.stl");
@@ -216,7 +211,7 @@ fn one_side_of_all_teeth_is_never_go_with_or_without_a_baseline() {
     let new = inspect(&["--seed", "77", "--record-baseline", baseline]);
     assert_eq!(new.code, 0, "{}", new.json["reason"]);
     let (mut worst, mut checked) = (0.0_f64, 0);
-    let dies = [("1", "55"), ("2", "35"), ("3", "55"), ("4", "35")];
+    let dies = [("1", "55"), ("2", "35")];
     let dies = at_least(1, &dies);
     for (seed, depth) in dies {
         let wear = format!("1:left:{depth}:side");

@@ -47,7 +47,6 @@ fn no_error_of_stages_and_head_lets_a_worn_flank_pass() {
 fn no_surface_lets_a_worn_flank_pass() {
     let all = [
         ("[surface]\nsprayed_above_mm = 33.0\n", "ground"),
-        ("", "ground"),
         ("", "polished"),
         ("", "oiled"),
         ("[surface]\nbounces = 5\n", "sprayed"),

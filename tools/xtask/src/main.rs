@@ -147,7 +147,7 @@ fn test(all: bool) -> Result<(), String> {
     if !all {
         eprintln!(
             "  --all adds                 three times the kills (700), drawn flanks (10 000), \
-             twice the seeds, 40 damaged dies instead of 8; three times the shapes of damage, surfaces and unmodelled errors; uneven \
+             twice the seeds, 16 damaged dies instead of 6; three times the shapes of damage, surfaces and unmodelled errors; uneven \
              lenses, dies of other teeth or put down turned by one, a study in small, README and docs/hardware.md step by \
              step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; \
              interleavings of the simulated controller's threads; a deployment without a bench; the Python package; and fails where something cannot run"

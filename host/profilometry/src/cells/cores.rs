@@ -5,6 +5,8 @@
 //! result is kept beside the head's file ([`CoreMap`]), and views are summed core by core and triangulated along the
 //! cores' rays.
 
+use rayon::prelude::*;
+
 use super::buckets::Buckets;
 use crate::head::{CoreMap, ImageCircle};
 
@@ -97,8 +99,8 @@ impl CoreGrid {
         Self {
             left_px: boxes.iter().map(|&(_, left, _)| left as u16).collect(),
             starts,
-            seen_px: boxes.iter().map(seen).collect(),
-            earlier_neighbours: boxes.iter().enumerate().map(neighbours).collect(),
+            seen_px: boxes.par_iter().map(seen).collect(),
+            earlier_neighbours: boxes.par_iter().enumerate().map(neighbours).collect(),
             pitch_px,
         }
     }

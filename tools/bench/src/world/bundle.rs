@@ -2,7 +2,6 @@
 
 use super::WorldError;
 use super::random::{Normals, Purpose, stream};
-use std::collections::HashMap;
 use std::f64::consts::PI;
 
 /// Properties of a bundle and its image.
@@ -107,18 +106,21 @@ impl Bundle {
 
         let positions: Vec<[f64; 2]> = drawn.iter().map(|d| d.0).collect();
         let (grid, order) = Grid::sorted(&positions, spec, pitch);
-        let place: HashMap<[i32; 2], u32> = order
-            .iter()
-            .enumerate()
-            .map(|(new, &old)| (lattice[old as usize], new as u32))
-            .collect();
+        // A table over all axial coordinates and their neighbours; hashing took a tenth of a short check.
+        let side = lattice.iter().flatten().map(|i| i.abs()).max().unwrap_or(0) + 1;
+        let width = 2 * side as usize + 1;
+        let cell = |[i, j]: [i32; 2]| (i + side) as usize * width + (j + side) as usize;
+        let mut place: Vec<Option<u32>> = vec![None; width * width];
+        for (new, &old) in order.iter().enumerate() {
+            place[cell(lattice[old as usize])] = Some(new as u32);
+        }
         const RING: [[i32; 2]; 6] = [[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]];
         let neighbours = order
             .iter()
             .enumerate()
             .map(|(new, &old)| {
                 let [i, j] = lattice[old as usize];
-                RING.map(|[di, dj]| place.get(&[i + di, j + dj]).copied().unwrap_or(new as u32))
+                RING.map(|[di, dj]| place[cell([i + di, j + dj])].unwrap_or(new as u32))
             })
             .collect();
         Ok(Self {
