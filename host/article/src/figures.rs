@@ -145,11 +145,15 @@ pub struct StitchedScan<'a, P> {
 
 impl<P: ViewPoints> StitchedScan<'_, P> {
     /// Makes the article's figures, told `settings`, and which share of the pairs counts where a view is laid on the one before;
-    /// without that, nine tenths of what neighbours have in common.
+    /// without that, nine tenths of what neighbours have in common. `progress` is told of the views that are laid the article's way.
     ///
     /// # Errors
     /// No view lies on the CAD, or points cannot be read.
-    pub fn article(self, settings: &ArticleSettings) -> Result<Article, ArticleError<P::Error>> {
+    pub fn article(
+        self,
+        settings: &ArticleSettings,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Article, ArticleError<P::Error>> {
         let Self {
             points: scanned,
             tool,
@@ -167,7 +171,15 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
             took
         };
         let map = CylinderMap::new(cells);
-        let stitched = method::stitch(scanned, tool, planned, self.nominal, map, settings)?;
+        let stitched = method::stitch(
+            scanned,
+            tool,
+            planned,
+            self.nominal,
+            map,
+            settings,
+            progress,
+        )?;
         let took = lap("article");
         let shared = &joint.adjustment.stages;
         let theirs = MethodResult::of_article(&stitched, shared, settings, planned, took);

@@ -263,7 +263,7 @@ pub struct ArticleStitched {
     pub merged: Option<Statistics>,
 }
 
-/// Stitches views as the article does, into an empty `map`.
+/// Stitches views as the article does, into an empty `map`. `progress` is told how many views are done, and of how many.
 ///
 /// # Errors
 /// The points of a view cannot be read, or not be merged.
@@ -274,6 +274,7 @@ pub fn stitch<P: ViewPoints>(
     nominal: &Stages,
     mut map: CylinderMap,
     settings: &ArticleSettings,
+    progress: &mut dyn FnMut(usize, usize),
 ) -> Result<ArticleStitched, ArticleError<P::Error>> {
     let teeth = tool.gear.as_ref().map_or(1, |gear| gear.teeth);
     let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
@@ -283,7 +284,9 @@ pub fn stitch<P: ViewPoints>(
     let mut centre_above_mm = None;
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let (mut one_view, mut initial) = (None, None);
-    for view in scanned.view_numbers() {
+    let numbers = scanned.view_numbers();
+    for (done, &view) in numbers.iter().enumerate() {
+        progress(done, numbers.len());
         let Some(at) = planned.get(view).map(Pose::from) else {
             continue;
         };

@@ -15,6 +15,7 @@ use crate::geometry::tell;
 use crate::help;
 use crate::instrument::subject;
 use crate::output::{Common, Outcome, say, try_folder, write_whole};
+use crate::progress::Countdown;
 
 /// Compute the published article's figures and tables for a scan, by its method and by ours, as one page.
 #[derive(clap::Args)]
@@ -77,7 +78,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut finished = FinishedScan::open(subject, folder)?;
     let sections = recording.as_ref().map(|frames| finished.sections(frames));
     let sections = sections.transpose().context("--frames")?;
-    let mut article = finished.article(&settings)?;
+    let mut countdown = None;
+    let mut article = finished.article(&settings, &mut |done, of| {
+        let quiet = args.common.quiet;
+        countdown
+            .get_or_insert_with(|| Countdown::new(quiet, "views laid the article's way", of))
+            .step(done);
+    })?;
     article.sections = sections;
     let mut report = ReportFolder::new(report);
     report.put(&mut article)?;

@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 
 use flankscope_profilometry::calibrate::{Artwork, PrintedMark};
 
+use super::svg::escaped;
+
 /// Ruler's length.
 const RULER_MM: f64 = 100.0;
 /// White around everything.
@@ -126,9 +128,4 @@ pub fn artwork_svg(artwork: &Artwork) -> String {
         let _ = writeln!(svg, "<text x=\"{MARGIN_MM}\" y=\"{y}\">{note}</text>");
     }
     svg + "</g>\n</svg>\n"
-}
-
-fn escaped(text: &str) -> String {
-    let text = text.replace('&', "&amp;");
-    text.replace('<', "&lt;").replace('>', "&gt;")
 }

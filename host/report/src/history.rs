@@ -4,7 +4,7 @@ use askama::Template;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::Word;
 
-use super::trend_chart::{Checks, horizon_cycles, one, overlay};
+use super::trend_chart::{Checks, Legend, horizon_cycles, one, overlay};
 use super::{Fact, Words, facts, figure, numbered};
 use flankscope_record::history::{Acknowledgement, Check, Forecast};
 
@@ -21,6 +21,7 @@ struct Page<'a> {
     words: &'static Words,
     simulated: bool,
     overlay: String,
+    legend: Vec<Legend>,
     flanks: Vec<Flank<'a>>,
     listed: Vec<&'a Check>,
     acknowledgements: &'a [Acknowledgement],
@@ -64,6 +65,7 @@ pub fn history_html(
         rate: rate(forecast),
         remaining: remaining(forecast),
     });
+    let (overlay, legend) = overlay(forecasts, &known);
     let page = Page {
         tool,
         checks: checks.len(),
@@ -80,7 +82,8 @@ pub fn history_html(
         }),
         words: Words::of(forecasts.iter().map(|of| &of.id)),
         simulated: checks.iter().any(|check| check.origin.simulated),
-        overlay: overlay(forecasts, &known),
+        overlay,
+        legend,
         flanks: flanks.collect(),
         listed: checks.iter().rev().take(LISTED).collect(),
         acknowledgements,
@@ -239,6 +242,49 @@ mod tests {
         );
         for shown in ["2026-02-01<", "2026-02-11<", "&#62; 1000, not extrapolated"] {
             assert!(page.contains(shown), "{shown}");
+        }
+    }
+    /// Eight flanks: six lines of their own colour, two in grey; and a patch whose name would be a tag.
+    #[test]
+    fn the_legend_names_every_line_of_the_overlay() {
+        let checks: Vec<Check> = (1..=11).map(|id| check(id, Word::Go)).collect();
+        let mut forecasts: Vec<Forecast> = (1..=8)
+            .map(|tooth| flank(tooth, 0.05 * f64::from(tooth)))
+            .collect();
+        forecasts[7].id.patch = Some("<i>shoulder".into());
+        let page = history_html("die", &checks, &[], &forecasts).unwrap();
+        assert!(!page.contains("<i>shoulder"), "names are escaped");
+        let legend = page.split("class=\"legend\"").nth(1).unwrap();
+        let legend = legend.split("</p>").next().unwrap();
+        assert_eq!(legend.matches("<span").count(), 7);
+        // The largest loss first; those in grey share the last sign.
+        let mut rest = legend;
+        for tooth in ["shoulder".into()]
+            .into_iter()
+            .chain((1..8).rev().map(|tooth| format!("tooth {tooth} left")))
+        {
+            let (_, after) = rest
+                .split_once(&tooth)
+                .unwrap_or_else(|| panic!("{tooth}: {legend}"));
+            rest = after;
+        }
+        // As many lines are drawn as are named, in the legend's colours.
+        assert_eq!(page.matches("<polyline").count(), forecasts.len());
+        let grey = page.matches("stroke=\"#a8b0b8\"").count();
+        assert_eq!((grey, legend.matches("#a8b0b8").count()), (2, 1));
+    }
+
+    /// A history of one day says its times; of several days, the days.
+    #[test]
+    fn an_axis_of_one_day_says_when_it_began_and_ended() {
+        let mut checks: Vec<Check> = (1..=11).map(|id| check(id, Word::Go)).collect();
+        for (at, check) in checks.iter_mut().enumerate() {
+            check.at = format!("2026-02-03T12:{:02}:30Z", 3 * at);
+        }
+        let page = history_html("die", &checks, &[], &[flank(12, 0.0)]).unwrap();
+        for shown in [">2026-02-03 12:00<", ">12:30 UTC<"] {
+            // In the overlay and in the flank's own chart.
+            assert_eq!(page.matches(shown).count(), 2, "{shown}");
         }
     }
 }

@@ -6,9 +6,16 @@ use flankscope_metrology::verdict::Word;
 
 /// The opening tag of a picture.
 pub(super) fn open(width: f64, height: f64, title: &str) -> String {
+    let title = escaped(title);
     format!(
         r#"<svg viewBox="0 0 {width} {height}" role="img" aria-label="{title}"><title>{title}</title>"#
     )
+}
+
+/// Text as it may stand in a tag's content and in a quoted attribute: names of patches are the user's.
+pub(super) fn escaped(text: &str) -> String {
+    let text = text.replace('&', "&amp;").replace('"', "&quot;");
+    text.replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// About eight round numbers between two ends.

@@ -7,15 +7,20 @@ use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::Word;
 
 use super::figure;
-use super::svg::{about, open, sign};
+use super::svg::{about, escaped, open, sign};
 use flankscope_record::history::{Check, Forecast, Point};
 
 /// A trend is extrapolated up to this many times the range of its data.
 const AHEAD: f64 = 10.0;
 /// Number of steps of the uncertainty band.
 const STEPS: u32 = 12;
-/// Number of flanks that the overlay names, those with the largest loss.
-const NAMED: usize = 3;
+/// Colours of the flanks with the largest loss in the overlay; the others share one grey.
+const COLOURS: [&str; 6] = [
+    "#b2182b", "#2b6cb0", "#1b7f5c", "#8a4fb0", "#b7791f", "#4a5568",
+];
+const GREY: &str = "#a8b0b8";
+/// Dashes of a line, and the same as a border of its sign in the legend. Neighbours differ in them, for who does not tell colours.
+const DASHES: [(&str, &str); 3] = [("none", "solid"), ("7 3", "dashed"), ("2 2", "dotted")];
 
 /// Largest extrapolation of a trend, cycles from its last value; `None` without a trend.
 pub(super) fn horizon_cycles(forecast: &Forecast) -> Option<f64> {
@@ -106,24 +111,20 @@ impl Frame {
                 at + 4.0
             );
         }
-        let [first, last] =
-            dates.map(|(cycles, at)| (self.x(cycles), at.split('T').next().unwrap_or(at)));
+        let [first, last] = dates.map(|(cycles, _)| self.x(cycles));
+        let [begun, ended] = days_or_times(dates.map(|(_, at)| at));
         let _ = write!(
             svg,
-            r#"<text x="{LEFT}" y="{:.1}">wear / µm</text><text x="{:.1}" y="{y:.1}" text-anchor="start" class="date">{}</text>"#,
+            r#"<text x="{LEFT}" y="{:.1}">wear / µm</text><text x="{first:.1}" y="{y:.1}" text-anchor="start" class="date">{begun}</text>"#,
             TOP - 3.0,
-            first.0,
-            first.1,
             y = bottom + 29.0
         );
-        // Only if both dates fit below their values.
-        if last.0 - first.0 > 150.0 {
+        // Only if both fit below their values.
+        if last - first > 150.0 {
             let _ = write!(
                 svg,
-                r#"<text x="{:.1}" y="{:.1}" text-anchor="end" class="date">{}</text>"#,
-                last.0,
-                bottom + 29.0,
-                last.1
+                r#"<text x="{last:.1}" y="{:.1}" text-anchor="end" class="date">{ended}</text>"#,
+                bottom + 29.0
             );
         }
         let _ = write!(
@@ -132,6 +133,21 @@ impl Frame {
             self.height - 4.0
         );
         svg
+    }
+}
+
+/// First and last date as days; within one day with the time, because two equal days would not say how long it took.
+fn days_or_times(dates: [&str; 2]) -> [String; 2] {
+    let split = dates.map(|at| at.split_once('T').unwrap_or((at, "")));
+    let [(first, begun), (last, ended)] = split;
+    let minute = |time: &str| time.get(..5).unwrap_or(time).to_owned();
+    if first == last && !begun.is_empty() {
+        [
+            format!("{first} {}", minute(begun)),
+            format!("{} UTC", minute(ended)),
+        ]
+    } else {
+        [first.to_owned(), last.to_owned()]
     }
 }
 
@@ -150,10 +166,15 @@ fn heights<'a>(points: impl Iterator<Item = &'a Point>, limit_um: f64) -> [f64; 
     })
 }
 
-/// All flanks in one chart: those with the largest loss by name, the others in grey.
-pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
-    const COLOURS: [&str; NAMED] = ["#b2182b", "#2b6cb0", "#1b7f5c"];
-    const DASHES: [&str; NAMED] = ["none", "7 3", "2 2"];
+/// A line of the overlay in its legend: the sign's colour and border, and the flanks that it stands for.
+pub(super) struct Legend {
+    pub(super) colour: &'static str,
+    pub(super) border: &'static str,
+    pub(super) names: Vec<String>,
+}
+
+/// All flanks in one chart, and its legend: those with the largest loss each in its colour, the others in grey.
+pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> (String, Vec<Legend>) {
     let all = || forecasts.iter().flat_map(|f| &f.points);
     let first = all().map(|p| p.cycles).fold(f64::INFINITY, f64::min);
     let last = all().map(|p| p.cycles).fold(f64::NEG_INFINITY, f64::max);
@@ -184,38 +205,41 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
     let mut order: Vec<&Forecast> = forecasts.iter().filter(|f| !f.points.is_empty()).collect();
     let now = |f: &Forecast| f.points.last().map_or(0.0, |p| p.wear_um);
     order.sort_by(|a, b| now(b).total_cmp(&now(a)));
-    // The named ones are drawn last, in front of the others.
-    for (place, of) in order.into_iter().enumerate().rev() {
+    // Those with a colour are drawn last, in front of the others.
+    for (place, of) in order.iter().enumerate().rev() {
         let line: Vec<String> = of
             .points
             .iter()
             .map(|p| format!("{:.1},{:.1}", frame.x(p.cycles), frame.y(p.wear_um)))
             .collect();
-        let name = of.id.to_string();
-        let (colour, dash) = (
-            COLOURS.get(place).unwrap_or(&"#a8b0b8"),
-            DASHES.get(place).unwrap_or(&"none"),
-        );
-        let wide = if place < NAMED { 2.0 } else { 1.0 };
+        let (colour, (dash, _), wide) = match COLOURS.get(place) {
+            Some(colour) => (*colour, DASHES[place % DASHES.len()], 2.0),
+            None => (GREY, DASHES[0], 1.0),
+        };
         let _ = write!(
             svg,
-            r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="{wide}" stroke-dasharray="{dash}"><title>{name}: {} µm now</title></polyline>"#,
+            r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="{wide}" stroke-dasharray="{dash}"><title>{}: {} µm now</title></polyline>"#,
             line.join(" "),
+            escaped(&of.id.to_string()),
             figure(Some(now(of)))
         );
-        if place < NAMED {
-            // Above the picture, beside the title of its axis.
-            let x = LEFT + 80.0 + 150.0 * place as f64;
-            let y = TOP - 3.0;
-            let _ = write!(
-                svg,
-                r#"<path d="M{x:.1} {:.1}h28" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/><text x="{:.1}" y="{y:.1}">{name}</text>"#,
-                y - 4.0,
-                x + 34.0
-            );
-        }
     }
-    svg + "</svg>"
+    let named = COLOURS.iter().zip(DASHES.iter().cycle()).zip(&order);
+    let mut legend: Vec<Legend> = named
+        .map(|((colour, (_, border)), of)| Legend {
+            colour,
+            border,
+            names: vec![of.id.to_string()],
+        })
+        .collect();
+    if let Some(others @ [_, ..]) = order.get(COLOURS.len()..) {
+        legend.push(Legend {
+            colour: GREY,
+            border: "solid",
+            names: others.iter().map(|of| of.id.to_string()).collect(),
+        });
+    }
+    (svg + "</svg>", legend)
 }
 
 /// One flank: values with U95 and the symbol of their verdict, changes, and the line with its band up to the limit.

@@ -76,9 +76,10 @@ impl Panel {
             self.title
         )
         .unwrap();
-        let first = self.from_us.div_ceil(self.tick_us) * self.tick_us;
-        let offset = zero_us % self.tick_us;
-        for at_us in (first + offset..=self.until_us).step_by(self.tick_us as usize) {
+        // The first tick from `from_us` on that is a multiple of the distance away from zero.
+        let before = self.from_us % self.tick_us;
+        let first = self.from_us + (zero_us + self.tick_us - before) % self.tick_us;
+        for at_us in (first..=self.until_us).step_by(self.tick_us as usize) {
             let x = self.x(at_us);
             let ms = (at_us as f64 - zero_us as f64) * 1e-3;
             writeln!(

@@ -110,11 +110,16 @@ impl FinishedScan {
         })
     }
     /// Computes the article's figures with `settings`. These include the fraction of point pairs used when a view is registered
-    /// to the one before; its default is nine tenths of the overlap of neighbours.
+    /// to the one before; its default is nine tenths of the overlap of neighbours. `progress` is told how many views are laid the
+    /// article's way, and of how many.
     ///
     /// # Errors
     /// No view is registered to the CAD, the folder cannot be read, or there is no common solution.
-    pub fn article(&mut self, settings: &ArticleSettings) -> Result<Article, FinishedScanError> {
+    pub fn article(
+        &mut self,
+        settings: &ArticleSettings,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Article, FinishedScanError> {
         let mut elapsed_ms = BTreeMap::new();
         let mut clock = Instant::now();
         let mut lap = |what| {
@@ -148,7 +153,7 @@ impl FinishedScan {
             ours,
             elapsed_ms,
         };
-        Ok(scan.article(settings)?)
+        Ok(scan.article(settings, progress)?)
     }
 
     /// Cross-sections of the fringes in the frames that were saved with this scan.

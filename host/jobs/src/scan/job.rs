@@ -493,7 +493,16 @@ impl Scanner {
         }
         let begun = Instant::now();
         let map = CylinderMap::new(frame.layout);
-        let laid = flankscope_article::stitch(session, tool, planned, nominal, map, &self.article)?;
+        let settings = &self.article;
+        let laid = flankscope_article::stitch(
+            session,
+            tool,
+            planned,
+            nominal,
+            map,
+            settings,
+            &mut |_, _| {},
+        )?;
         let took = begun.elapsed();
         let figures = MethodResult::of_article(&laid, &shared, &self.article, planned, took);
         if self.method == Method::Article {
