@@ -1,5 +1,6 @@
 """Frames of a plane, rendered by its closed form, and back."""
 
+import itertools
 import pathlib
 import tempfile
 import unittest
@@ -98,14 +99,32 @@ class Decode(unittest.TestCase):
         with self.assertRaises(fs.GeometryError):
             fs.Plan.named("none", exposures_us=[10_000])
 
+    def test_frames_in_another_order_than_the_plans_are_noticed(self):
+        decoder, stack = fs.Decoder(self.plan, self.head), frames()
+        for order, words in [
+            # Steps of the fine set exchanged, then the sets.
+            ([0, 1, 2, 3, 4, 6, 5, 7], "frames of 8 periods are not one fringe"),
+            ([4, 5, 6, 7, 0, 1, 2, 3], "frames of 8 periods show fringes only 0.1 times as fine"),
+        ]:
+            with self.assertRaisesRegex(fs.GeometryError, words):
+                decoder.decode(stack[order])
+            with self.assertRaisesRegex(fs.GeometryError, words):
+                decoder.decode([stack[at] for at in order])
+
     def test_what_does_not_fit_is_refused_by_name(self):
         decoder, stack = fs.Decoder(self.plan, self.head), frames()
         for given, words in [
             (stack[:7], "7 frames, of this plan 8"),
             (stack.astype(np.uint8), "uint8; uint16"),
-            (stack[:, :, 1:], "ascontiguousarray"),
-            (np.ascontiguousarray(stack[:, 1:]), "119"),
-            (stack[0], r"\[120, 160\]"),
+            (stack[:, :, ::-1], "ascontiguousarray"),
+            (np.ascontiguousarray(stack[:, 1:]), r"\[8, 119, 160\]; \(frames, 120, 160\)"),
+            (stack[0], r"\[120, 160\]; \(frames, 120, 160\)"),
+            (np.empty((8, 0, 0), np.uint16), r"\[8, 0, 0\]"),
+            (np.empty((0, 120, 160), np.uint16), "0 frames"),
+            # A view of one pixel that claims to be 1e11 frames.
+            (np.lib.stride_tricks.as_strided(stack[0, 0, :1], (10**11, 120, 160), (0, 0, 0)), "ascontiguousarray"),
+            (itertools.repeat(stack[0]), "more than 8 frames"),
+            ([*stack[:7], stack[7, 1:]], r"frames\[7\] has the shape \[119, 160\]; \(120, 160\)"),
             ([*stack[:7], stack[7].astype(np.float64)], r"frames\[7\] is of float64"),
             ([], "0 frames"),
         ]:
