@@ -33,11 +33,22 @@ def plane():
     v, u = np.mgrid[0:120, 0:160]
     x, y = (u - 79.5) / 200, (v - 59.5) / 200
     z = 100 / (1 - 0.2 * x - 0.1 * y)
-    return z, 300 * (x - 30 / z) + 217.5
+    return z, column_of(z)
+
+
+def column_of(z):
+    """Projector column that lights every pixel, from its depth."""
+    x = (np.arange(160) - 79.5) / 200
+    return 300 * (x - 30 / z) + 217.5
 
 
 def frames():
-    _, column = plane()
+    return frames_of(plane()[0])
+
+
+def frames_of(z):
+    """The frames of the plan, of a surface by the depth of every pixel."""
+    column = column_of(z)
     shown = []
     for periods in (1, 8):
         for step in range(4):
