@@ -7,6 +7,7 @@ meanwhile.
 """
 
 from os import PathLike
+from pathlib import Path
 from typing import Literal, Sequence, final
 
 import numpy as np
@@ -76,7 +77,7 @@ class Plan:
     @property
     def periods(self) -> list[float]:
         """Fringes over the projector's width, low to high."""
-    def files(self, folder: _Path) -> list[str]:
+    def files(self, folder: _Path) -> list[Path]:
         """Files of a folder's images in the order of capture, of a plan that was read from a file."""
 
 @final
@@ -110,7 +111,10 @@ class Decoder:
     def sensor_assumed(self) -> bool:
         """Whether nobody described the sensor."""
     def decode(self, frames: NDArray[np.uint16] | Sequence[NDArray[np.uint16]]) -> Decoded:
-        """Points and maps of one view: a stack (frames, rows, columns), or one array per frame."""
+        """Points and maps of one view: a stack (frames, rows, columns), or one array per frame, in the order of `frames`.
+
+        Frames in another order, whose steps are not one fringe moved step by step, are a GeometryError that names the set.
+        """
 
 @final
 class Decoded:

@@ -152,6 +152,54 @@ fn the_map_in_space_holds_the_table(browser: &Browser, page: &Path, table: &str)
     }
 }
 
+/// A click on a flank shows the sections through the cell that was clicked; the end of a drag shows no others.
+fn sections_go_through_the_cell_that_is_clicked(browser: &Browser, page: &Path) {
+    let script = "addEventListener('load', () => setTimeout(() => { \
+        if (by('with').hidden) return say('no picture'); \
+        const canvas = document.querySelector('canvas'), box = canvas.getBoundingClientRect(); \
+        const at = (x, y) => ({ clientX: box.left + x * box.width, clientY: box.top + y * box.height, pointerId: 1 }); \
+        const sections = () => [by('height').value, by('along').value].join(' '); \
+        const before = sections(); \
+        canvas.setPointerCapture = () => {}; \
+        canvas.dispatchEvent(new PointerEvent('pointerdown', at(0.4, 0.3))); \
+        canvas.dispatchEvent(new MouseEvent('click', at(0.52, 0.6))); \
+        const dragged = sections(); \
+        canvas.dispatchEvent(new PointerEvent('pointerdown', at(0.52, 0.6))); \
+        canvas.dispatchEvent(new MouseEvent('click', at(0.52, 0.6))); \
+        const { cells } = cellsOf(JSON.parse(by('data').textContent)); \
+        const note = document.querySelector('.note').textContent; \
+        const [along, height] = note.split(' at ')[1].match(/[0-9.]+/g).map(Number); \
+        const part = +by('part').value, own = cells.filter((cell) => cell.grid.part === part); \
+        const off = (cell) => Math.hypot(cell.grid.along_mm[cell.column] - along, cell.grid.height(cell.row) - height); \
+        const picked = own.reduce((best, cell) => (off(cell) < off(best) ? cell : best)); \
+        const ends = (line) => { const um = line.map((cell) => cell.um).filter((um) => um !== null); return `from ${number(Math.min(...um))} to ${number(Math.max(...um))} µm; ${um.length} of ${line.length} `; }; \
+        say(JSON.stringify({ before, dragged, after: sections(), picked: [picked.grid.height(picked.row), picked.grid.along_mm[picked.column]].join(' '), \
+          same: by('which').textContent.endsWith(note.split(' · ')[0]), \
+          profile: by('profile').textContent.includes(ends(own.filter((cell) => cell.row === picked.row))), \
+          lead: by('lead').textContent.includes(ends(own.filter((cell) => cell.column === picked.column))), \
+          limits: document.querySelectorAll('.section line.mark').length })); }, 200))";
+    let said = browser.ask(page, 800, script);
+    if said == "no picture" {
+        println!("not tested: this browser has no WebGL2");
+        return;
+    }
+    let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(said["dragged"], said["before"], "{said}");
+    assert_ne!(said["after"], said["before"], "{said}");
+    let numbers = |key: &str| -> Vec<f64> {
+        let text = said[key].as_str().unwrap().split(' ');
+        text.map(|number| number.parse().unwrap()).collect()
+    };
+    for (slider, cell) in numbers("after").into_iter().zip(numbers("picked")) {
+        // A slider keeps three decimals.
+        assert!((slider - cell).abs() < 1e-3, "{said}");
+    }
+    for holds in ["same", "profile", "lead"] {
+        assert_eq!(said[holds], true, "{holds} of {said}");
+    }
+    assert_eq!(said["limits"], 4, "warn and stop in both");
+}
+
 #[test]
 fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     let Some(browser) = Browser::found() else {
@@ -175,6 +223,22 @@ fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     browser.fits(&folder.path().join("index.html"), 1);
     let table = std::fs::read_to_string(folder.path().join("cells.csv")).unwrap();
     the_map_in_space_holds_the_table(&browser, &folder.path().join("map3d.html"), &table);
+    sections_go_through_the_cell_that_is_clicked(&browser, &folder.path().join("map3d.html"));
+    let index = std::fs::read_to_string(folder.path().join("index.html")).unwrap();
+    let flanks = std::fs::read_to_string(folder.path().join("flanks.csv")).unwrap();
+    let worn = flanks.lines().find(|line| line.starts_with("40,left,"));
+    let worn: Vec<f64> = worn
+        .unwrap()
+        .split(',')
+        .skip(2)
+        .take(2)
+        .map(|um| um.parse().unwrap())
+        .collect();
+    let most_wear = format!("tooth 40 left: {:.1} ± {:.1} µm", worn[0], worn[1]);
+    assert!(
+        index.contains("demo die") && index.contains(&most_wear),
+        "{index}"
+    );
 
     // In the middle of the first map, against the table.
     let script = "addEventListener('load', () => { const map = document.querySelector('[data-scale]'); \

@@ -131,7 +131,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let plan = Plan::load(&args.plan).context("plan")?;
     let size_px = [head.camera.width_px, head.camera.height_px];
     let frames = plan.images(&args.images, size_px)?;
-    frame_order::check(&plan.patterns, &frames)
+    let views: Vec<_> = frames.iter().map(|(k, image)| (*k, image.view())).collect();
+    frame_order::check(&plan.patterns, &views)
         .with_context(|| format!("images of {}", args.images.display()))?;
     let loaded = Instant::now();
 
@@ -145,8 +146,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         options(args, defaults),
     )?;
     let mut accumulator = decoder.begin();
-    for (kind, image) in &frames {
-        accumulator.add(image.view(), *kind)?;
+    for (kind, view) in views {
+        accumulator.add(view, kind)?;
     }
     let decoded = decoder.finish(&accumulator)?;
     let done = Instant::now();

@@ -6,8 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::frame::FrameKind;
-use crate::io::images::GreyImage;
+use crate::frame::{FrameKind, FrameView};
 use crate::pattern::PatternSet;
 
 /// What does not fit.
@@ -95,7 +94,7 @@ struct Phasors {
 }
 
 impl Phasors {
-    fn new(frames: &[&GreyImage], saturated_dn: u16, least_dn: f64) -> Self {
+    fn new(frames: &[FrameView<'_>], saturated_dn: u16, least_dn: f64) -> Self {
         let (width, height) = (frames[0].width, frames[0].height);
         let count = frames.len() as f64;
         let turns: Vec<[f64; 2]> = (0..frames.len())
@@ -161,29 +160,29 @@ impl Phasors {
     }
 }
 
-/// Checks the frames of a view, in the order of their plan.
+/// Checks the frames of a view, in the order of their plan. They are of one size, without padding between rows.
 ///
 /// # Errors
 /// [`FrameOrderError`] with what contradicts the plan. Frames without fringes contradict nothing.
 pub fn check(
     patterns: &PatternSet,
-    frames: &[(FrameKind, GreyImage)],
+    frames: &[(FrameKind, FrameView<'_>)],
 ) -> Result<(), FrameOrderError> {
     let Some((_, first)) = frames.first() else {
         return Ok(());
     };
     // Images of 16 bits may hold fewer: what their brightest pixel needs.
-    let brightest = frames.iter().flat_map(|(_, image)| &image.pixels).max();
+    let brightest = frames.iter().flat_map(|(_, image)| image.pixels).max();
     let bits = 16 - brightest.copied().unwrap_or(0).leading_zeros().min(8);
     let full_scale_dn = f64::from((1u32 << bits) - 1);
     let saturated_dn = (0.95 * full_scale_dn) as u16;
     let least_dn = LEAST_CHANGE * full_scale_dn / 255.0;
     let exposures = frames.iter().filter_map(|(kind, _)| kind.exposure()).max();
     for exposure in 0..=exposures.unwrap_or(0) {
-        let of_set = |wanted: usize| -> Vec<&GreyImage> {
+        let of_set = |wanted: usize| -> Vec<FrameView<'_>> {
             let is_of_set = |kind: &FrameKind| matches!(*kind, FrameKind::Fringe { exposure: e, set, .. } if e == exposure && set == wanted);
             let of_set = frames.iter().filter(|(kind, _)| is_of_set(kind));
-            of_set.map(|(_, image)| image).collect()
+            of_set.map(|(_, image)| *image).collect()
         };
         let sets = (0..patterns.sets.len()).map(of_set);
         let sets: Vec<Phasors> = sets
@@ -231,7 +230,7 @@ fn widths(patterns: &PatternSet, sets: &[Phasors]) -> Result<(), FrameOrderError
     Ok(())
 }
 
-fn dark(finest: &Phasors, frames: &[(FrameKind, GreyImage)]) -> Result<(), FrameOrderError> {
+fn dark(finest: &Phasors, frames: &[(FrameKind, FrameView<'_>)]) -> Result<(), FrameOrderError> {
     let Some((_, dark)) = frames.iter().find(|(kind, _)| *kind == FrameKind::Dark) else {
         return Ok(());
     };
@@ -257,17 +256,17 @@ fn dark(finest: &Phasors, frames: &[(FrameKind, GreyImage)]) -> Result<(), Frame
 
 fn code(
     finest: &Phasors,
-    frames: &[(FrameKind, GreyImage)],
+    frames: &[(FrameKind, FrameView<'_>)],
     exposure: usize,
 ) -> Result<(), FrameOrderError> {
-    let bits: Vec<&GreyImage> = frames
+    let bits: Vec<FrameView<'_>> = frames
         .iter()
         .filter(|(kind, _)| {
             matches!(*kind, FrameKind::Code { exposure: e, complement: false, .. } if e == exposure)
         })
-        .map(|(_, image)| image)
+        .map(|(_, image)| *image)
         .collect();
-    let changes = |image: &GreyImage| {
+    let changes = |image: FrameView<'_>| {
         let lit = |index: usize| {
             let [re, im] = finest.of_pixel[index]?;
             let off_dn = f64::from(image.pixels[index]) - finest.mean_dn[index];

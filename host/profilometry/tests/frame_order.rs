@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use flankscope_profilometry::frame::FrameKind;
-use flankscope_profilometry::frame_order::{FrameOrderError, check};
+use flankscope_profilometry::frame_order::{self, FrameOrderError};
 use flankscope_profilometry::gray::GrayCode;
 use flankscope_profilometry::io::images::GreyImage;
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
@@ -17,6 +17,11 @@ fn patterns(sets: &[(f64, u32)]) -> PatternSet {
         phase_origin_px: 0.0,
     };
     PatternSet::new("order", sets.iter().map(set).collect()).unwrap()
+}
+
+fn check(patterns: &PatternSet, frames: &[(FrameKind, GreyImage)]) -> Result<(), FrameOrderError> {
+    let views: Vec<_> = frames.iter().map(|(k, of)| (*k, of.view())).collect();
+    frame_order::check(patterns, &views)
 }
 
 /// A ball before a wall, seen slanted, in a room with some light; `gamma` bends the projector's response.

@@ -42,18 +42,21 @@ pub fn borrow<'py, T: Element, D: Dimension>(
             untyped.strides()
         )));
     }
+    if !untyped.is_aligned() {
+        return Err(ArrayError::new_err(format!(
+            "{name} does not lie at a multiple of its items' size: {name}.copy() does"
+        )));
+    }
     typed
         .try_readonly()
         .map_err(|_| ArrayError::new_err(format!("{name} is being written to by another call")))
 }
 
-/// The values of an array that was borrowed in one piece.
-fn values<'a, T: Element, D: Dimension>(
-    name: &str,
-    array: &'a PyReadonlyArray<'_, T, D>,
-) -> PyResult<&'a [T]> {
-    let scattered = |_| ArrayError::new_err(format!("{name} does not lie in one piece"));
-    array.as_slice().map_err(scattered)
+/// The values of an array that was borrowed by [`borrow`].
+pub fn values<'a, T: Element, D: Dimension>(array: &'a PyReadonlyArray<'_, T, D>) -> &'a [T] {
+    array
+        .as_slice()
+        .expect("aligned and in one piece: checked when it was borrowed")
 }
 
 /// Rows of three numbers, borrowed.
@@ -68,8 +71,7 @@ impl<'py, T: Element> Rows<'py, T> {
 
     /// The rows, where they lie.
     pub fn rows(&self) -> &[[T; 3]] {
-        // Checked when it was borrowed.
-        self.0.as_slice().map_or(&[], |all| all.as_chunks().0)
+        values(&self.0).as_chunks().0
     }
 }
 
@@ -106,7 +108,7 @@ impl<'py> Sigmas<'py> {
         let needed = format!("({count}), one per point,");
         let shape = (needed.as_str(), |shape: &[usize]| shape == [count]);
         let array = borrow::<f32, Ix1>(NAME, shape, array)?;
-        let bad = values(NAME, &array)?
+        let bad = values(&array)
             .iter()
             .enumerate()
             .find(|(_, sigma)| !(sigma.is_finite() && **sigma > 0.0));
@@ -120,7 +122,7 @@ impl<'py> Sigmas<'py> {
 
     /// The values, where they lie.
     pub fn values(&self) -> &[f32] {
-        self.0.as_slice().unwrap_or(&[])
+        values(&self.0)
     }
 }
 
@@ -155,11 +157,7 @@ pub fn pose(name: &str, array: &Bound<'_, PyAny>) -> PyResult<[[f64; 4]; 4]> {
     let shape = ("(4, 4)", |shape: &[usize]| shape == [4, 4]);
     let array = borrow::<f64, Ix2>(name, shape, array)?;
     let mut pose = [[0.0; 4]; 4];
-    for (to, from) in pose
-        .as_flattened_mut()
-        .iter_mut()
-        .zip(values(name, &array)?)
-    {
+    for (to, from) in pose.as_flattened_mut().iter_mut().zip(values(&array)) {
         *to = *from;
     }
     Ok(pose)

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use flankscope_profilometry::decode::{
     self as lib, ConsistencyOptions, DecodeOptions, PatchOptions, PhaseMaps,
 };
+use flankscope_profilometry::frame_order::{self, FrameOrderError};
 use flankscope_profilometry::head::HeadModel;
 use flankscope_profilometry::pattern::PatternSet;
 use flankscope_profilometry::plan;
@@ -14,7 +15,7 @@ use numpy::{Ix2, Ix3, PyArray1, PyArrayDyn, PyReadonlyArray, PyUntypedArrayMetho
 use numpy::{PyReadonlyArray2, PyUntypedArray};
 use pyo3::prelude::*;
 
-use crate::array::{borrow, from_points, list, shaped};
+use crate::array::{borrow, from_points, list, shaped, values};
 use crate::error::{ArrayError, FileError, GeometryError, file, geometry};
 
 /// Camera and projector, calibrated.
@@ -114,6 +115,7 @@ impl Plan {
 #[pyclass(frozen, module = "flankscope")]
 pub struct Decoder {
     decoder: lib::Decoder,
+    patterns: PatternSet,
     sensor_assumed: bool,
 }
 
@@ -187,6 +189,7 @@ impl Decoder {
             py.detach(|| lib::Decoder::new(&head, &plan.patterns, &plan.exposures_us, options));
         Ok(Self {
             decoder: made.map_err(geometry)?,
+            patterns: plan.patterns.clone(),
             sensor_assumed,
         })
     }
@@ -206,22 +209,28 @@ impl Decoder {
 
     /// Points and maps of one view.
     fn decode(&self, py: Python<'_>, frames: &Bound<'_, PyAny>) -> PyResult<Decoded> {
-        let frames = Frames::of(frames)?;
-        let views = frames.views()?;
-        let kinds: Vec<_> = self.decoder.capture_order().collect();
-        if views.len() != kinds.len() {
+        let planned: Vec<_> = self.decoder.capture_order().collect();
+        let [columns, rows] = self.decoder.size_px().map(|px| px as usize);
+        let frames = Frames::of(frames, planned.len(), [rows, columns])?;
+        if frames.len() != planned.len() {
+            let given = match frames.len() {
+                more if more > planned.len() => format!("more than {}", planned.len()),
+                fewer => fewer.to_string(),
+            };
             return Err(ArrayError::new_err(format!(
-                "{} frames, of this plan {} are needed, in this order: {}",
-                views.len(),
-                kinds.len(),
+                "{given} frames, of this plan {} are needed, in this order: {}",
+                planned.len(),
                 self.frames().join("; ")
             )));
         }
+        let views = frames.views(rows, columns);
+        let views: Vec<_> = planned.into_iter().zip(views).collect();
         let (decoded, maps) = py
             .detach(|| {
+                frame_order::check(&self.patterns, &views)?;
                 let mut sums = self.decoder.begin();
-                for (view, kind) in views.iter().zip(kinds) {
-                    sums.add(*view, kind)?;
+                for (kind, view) in &views {
+                    sums.add(*view, *kind)?;
                 }
                 let decoded = self.decoder.finish(&sums)?;
                 let maps = self.decoder.maps(&sums, &decoded)?;
@@ -229,6 +238,7 @@ impl Decoder {
             })
             .map_err(|error: Refused| match error {
                 Refused::Frame(error) => ArrayError::new_err(error.to_string()),
+                Refused::Order(error) => geometry(error),
                 Refused::View(error) => geometry(error),
             })?;
         Decoded::of(py, decoded, maps)
@@ -238,12 +248,19 @@ impl Decoder {
 /// Why a view was not decoded.
 enum Refused {
     Frame(FrameError),
+    Order(FrameOrderError),
     View(DecodeError),
 }
 
 impl From<FrameError> for Refused {
     fn from(error: FrameError) -> Self {
         Self::Frame(error)
+    }
+}
+
+impl From<FrameOrderError> for Refused {
+    fn from(error: FrameOrderError) -> Self {
+        Self::Order(error)
     }
 }
 
@@ -260,39 +277,37 @@ enum Frames<'py> {
 }
 
 impl<'py> Frames<'py> {
-    /// Of a stack, or of one array per frame.
-    fn of(frames: &Bound<'py, PyAny>) -> PyResult<Self> {
+    /// Of a stack, or of one array per frame; of an iterator no more than one beyond `count` is asked for.
+    fn of(frames: &Bound<'py, PyAny>, count: usize, [rows, columns]: [usize; 2]) -> PyResult<Self> {
         if frames.cast::<PyUntypedArray>().is_ok() {
-            let shape = ("(frames, rows, columns)", |_: &[usize]| true);
-            return Ok(Self::Stack(borrow::<u16, Ix3>("frames", shape, frames)?));
+            let needed = format!("(frames, {rows}, {columns})");
+            let fits = |shape: &[usize]| matches!(*shape, [_, r, c] if [r, c] == [rows, columns]);
+            let stack = borrow::<u16, Ix3>("frames", (needed.as_str(), fits), frames)?;
+            return Ok(Self::Stack(stack));
         }
-        let each = frames.try_iter()?.enumerate().map(|(at, frame)| {
-            let shape = ("(rows, columns)", |_: &[usize]| true);
-            borrow::<u16, Ix2>(&format!("frames[{at}]"), shape, &frame?)
+        let needed = format!("({rows}, {columns})");
+        let each = frames.try_iter()?.take(count + 1).enumerate();
+        let each = each.map(|(at, frame)| {
+            let fits = |shape: &[usize]| *shape == [rows, columns];
+            borrow::<u16, Ix2>(&format!("frames[{at}]"), (needed.as_str(), fits), &frame?)
         });
         Ok(Self::Each(each.collect::<PyResult<_>>()?))
     }
 
-    fn views(&self) -> PyResult<Vec<FrameView<'_>>> {
-        let scattered = |_| ArrayError::new_err("frames do not lie in one piece");
+    fn len(&self) -> usize {
         match self {
-            Self::Stack(stack) => {
-                let (height, width) = (stack.shape()[1], stack.shape()[2]);
-                let pixels = stack.as_slice().map_err(scattered)?;
-                let each = pixels.chunks_exact((width * height).max(1));
-                Ok(each
-                    .map(|frame| FrameView::packed(frame, width, height))
-                    .collect())
-            }
-            Self::Each(frames) => {
-                let each = frames.iter().map(|frame| {
-                    let (height, width) = (frame.shape()[0], frame.shape()[1]);
-                    let pixels = frame.as_slice().map_err(scattered)?;
-                    Ok(FrameView::packed(pixels, width, height))
-                });
-                each.collect()
-            }
+            Self::Stack(stack) => stack.shape()[0],
+            Self::Each(frames) => frames.len(),
         }
+    }
+
+    fn views(&self, rows: usize, columns: usize) -> Vec<FrameView<'_>> {
+        let pixels: Vec<&[u16]> = match self {
+            Self::Stack(stack) => values(stack).chunks_exact(rows * columns).collect(),
+            Self::Each(frames) => frames.iter().map(|frame| values(frame)).collect(),
+        };
+        let view = |frame| FrameView::packed(frame, columns, rows);
+        pixels.into_iter().map(view).collect()
     }
 }
 

@@ -26,6 +26,19 @@ def block() -> tuple[np.ndarray, np.ndarray]:
     return np.array(front + back, np.float64), triangles
 
 
+def corner() -> tuple[list[tuple[np.ndarray, float]], np.ndarray, np.ndarray]:
+    """Three planes (normal away from the camera, distance) that meet in a corner 98 mm before it, and the pyramid between them."""
+    apex = np.array([0.0, 0.0, 98.0])
+    base = np.array([[80 * np.cos(a), 80 * np.sin(a), 123.0] for a in 0.3 + 2 * np.pi / 3 * np.arange(3)])
+    planes = []
+    for at in range(3):
+        normal = np.cross(base[at] - apex, base[(at + 1) % 3] - apex)
+        normal *= np.sign(normal[2]) / np.linalg.norm(normal)
+        planes.append((normal, float(normal @ apex)))
+    triangles = np.array([(0, 2, 1), (0, 3, 2), (0, 1, 3), (1, 2, 3)], np.uint32)
+    return planes, np.vstack([apex, base]), triangles
+
+
 def write_tool(folder: pathlib.Path) -> pathlib.Path:
     """The block as a tool: its upper land is judged, the lower one is the datum."""
     vertices, triangles = block()

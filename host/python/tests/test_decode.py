@@ -1,5 +1,6 @@
 """Frames of a plane, rendered by its closed form, and back."""
 
+import itertools
 import pathlib
 import tempfile
 import unittest
@@ -32,11 +33,22 @@ def plane():
     v, u = np.mgrid[0:120, 0:160]
     x, y = (u - 79.5) / 200, (v - 59.5) / 200
     z = 100 / (1 - 0.2 * x - 0.1 * y)
-    return z, 300 * (x - 30 / z) + 217.5
+    return z, column_of(z)
+
+
+def column_of(z):
+    """Projector column that lights every pixel, from its depth."""
+    x = (np.arange(160) - 79.5) / 200
+    return 300 * (x - 30 / z) + 217.5
 
 
 def frames():
-    _, column = plane()
+    return frames_of(plane()[0])
+
+
+def frames_of(z):
+    """The frames of the plan, of a surface by the depth of every pixel."""
+    column = column_of(z)
     shown = []
     for periods in (1, 8):
         for step in range(4):
@@ -98,14 +110,32 @@ class Decode(unittest.TestCase):
         with self.assertRaises(fs.GeometryError):
             fs.Plan.named("none", exposures_us=[10_000])
 
+    def test_frames_in_another_order_than_the_plans_are_noticed(self):
+        decoder, stack = fs.Decoder(self.plan, self.head), frames()
+        for order, words in [
+            # Steps of the fine set exchanged, then the sets.
+            ([0, 1, 2, 3, 4, 6, 5, 7], "frames of 8 periods are not one fringe"),
+            ([4, 5, 6, 7, 0, 1, 2, 3], "frames of 8 periods show fringes only 0.1 times as fine"),
+        ]:
+            with self.assertRaisesRegex(fs.GeometryError, words):
+                decoder.decode(stack[order])
+            with self.assertRaisesRegex(fs.GeometryError, words):
+                decoder.decode([stack[at] for at in order])
+
     def test_what_does_not_fit_is_refused_by_name(self):
         decoder, stack = fs.Decoder(self.plan, self.head), frames()
         for given, words in [
             (stack[:7], "7 frames, of this plan 8"),
             (stack.astype(np.uint8), "uint8; uint16"),
-            (stack[:, :, 1:], "ascontiguousarray"),
-            (np.ascontiguousarray(stack[:, 1:]), "119"),
-            (stack[0], r"\[120, 160\]"),
+            (stack[:, :, ::-1], "ascontiguousarray"),
+            (np.ascontiguousarray(stack[:, 1:]), r"\[8, 119, 160\]; \(frames, 120, 160\)"),
+            (stack[0], r"\[120, 160\]; \(frames, 120, 160\)"),
+            (np.empty((8, 0, 0), np.uint16), r"\[8, 0, 0\]"),
+            (np.empty((0, 120, 160), np.uint16), "0 frames"),
+            # A view of one pixel that claims to be 1e11 frames.
+            (np.lib.stride_tricks.as_strided(stack[0, 0, :1], (10**11, 120, 160), (0, 0, 0)), "ascontiguousarray"),
+            (itertools.repeat(stack[0]), "more than 8 frames"),
+            ([*stack[:7], stack[7, 1:]], r"frames\[7\] has the shape \[119, 160\]; \(120, 160\)"),
             ([*stack[:7], stack[7].astype(np.float64)], r"frames\[7\] is of float64"),
             ([], "0 frames"),
         ]:

@@ -160,6 +160,11 @@ class Border(unittest.TestCase):
         holes[17, 2] = np.nan
         far = self.points.copy()
         far[3, 1] = 1e300
+        # In one piece row after row, and one byte beside where float64 may lie.
+        beside = np.empty(8 * 3000 + 1, np.uint8)[1:].view(np.float64).reshape(1000, 3)
+        beside[:] = self.points
+        # A view of three numbers that claims to be more points than any memory holds.
+        claimed = np.lib.stride_tricks.as_strided(self.points, (10**15, 3), (0, 8))
         for array, error, words in [
             (self.points.astype(np.float32), fs.ArrayError, "float32; float64"),
             (self.points.astype(">f8"), fs.ArrayError, "float64"),
@@ -167,6 +172,8 @@ class Border(unittest.TestCase):
             (self.points[0], fs.ArrayError, r"\[3\]"),
             (self.points[::2], fs.ArrayError, "ascontiguousarray"),
             (np.asfortranarray(self.points), fs.ArrayError, "ascontiguousarray"),
+            (beside, fs.ArrayError, r"points_mm\.copy"),
+            (claimed, fs.ArrayError, "ascontiguousarray"),
             (self.points.tolist(), fs.ArrayError, "list"),
             (holes, fs.NotFiniteError, r"points_mm\[17, 2\] is NaN"),
             (np.full((1, 3), np.inf), fs.NotFiniteError, "inf"),
@@ -176,6 +183,8 @@ class Border(unittest.TestCase):
                 fs.deviation(array, self.mesh)
             with self.assertRaises(ValueError):
                 fs.register(array, self.mesh)
+        with self.assertRaisesRegex(fs.GeometryError, "at most 1000000000"):
+            self.mesh.sample(10**12)
         for sigma in (np.ones(999, np.float32), np.zeros(1000, np.float32), np.ones(1000)):
             with self.assertRaises(fs.ArrayError):
                 fs.register(self.points, self.mesh, sigma_mm=sigma)

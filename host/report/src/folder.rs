@@ -9,7 +9,8 @@
 //! ```
 
 use std::collections::BTreeSet;
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use askama::Template;
@@ -50,13 +51,31 @@ struct Index {
     has_map: bool,
 }
 
-/// A page, by the parts of its file name.
+/// A page, by the parts of its file name and what its head says.
 #[derive(Clone, Debug, PartialEq)]
 struct Entry {
     file: String,
     date: String,
     what: String,
     verdict: Word,
+    /// As HTML; a dash where the page does not say.
+    tool: String,
+    most_wear: String,
+}
+
+/// Bytes of a page in which its tool and most wear stand.
+const HEAD_BYTES: u64 = 4096;
+
+/// What a page's head says under a name, as the HTML that stands there; a dash if it says nothing, or what would be more than text.
+fn said_by_head(head: &str, name: &str) -> String {
+    let begin = format!("<meta name=\"{name}\" content=\"");
+    let said = head
+        .split_once(&begin)
+        .and_then(|(_, after)| after.split_once('"'));
+    let text = said.map(|(text, _)| text);
+    text.filter(|text| !text.contains(['<', '>']))
+        .unwrap_or("–")
+        .to_owned()
 }
 
 impl Entry {
@@ -88,7 +107,21 @@ impl Entry {
             date,
             what,
             verdict,
+            tool: "–".into(),
+            most_wear: "–".into(),
         })
+    }
+
+    /// Takes from the page's head what its name does not say; a page that cannot be read is listed without.
+    fn read_head(&mut self, folder: &Path) {
+        let mut head = Vec::new();
+        let page = File::open(folder.join(&self.file));
+        let read = page.and_then(|page| page.take(HEAD_BYTES).read_to_end(&mut head));
+        if read.is_ok() {
+            let head = String::from_utf8_lossy(&head);
+            self.tool = said_by_head(&head, "tool");
+            self.most_wear = said_by_head(&head, "most-wear");
+        }
     }
 }
 
@@ -225,8 +258,10 @@ impl ReportFolder {
     /// Removes pages beyond `kept`, and writes the index again.
     fn index(&self, kept: usize) -> Result<(), SinkError> {
         let path = self.0.join(Self::PAGES);
-        let entries =
-            std::fs::read_dir(&path).map_err(|source| SinkError::Write { path, source })?;
+        let entries = std::fs::read_dir(&path).map_err(|source| SinkError::Write {
+            path: path.clone(),
+            source,
+        })?;
         let mut listed: Vec<Entry> = entries
             .filter_map(|entry| Entry::of(entry.ok()?.file_name().into_string().ok()?))
             .collect();
@@ -238,6 +273,7 @@ impl ReportFolder {
         listed.retain(|entry| !old.contains(&entry.file));
         let beyond = listed.len().saturating_sub(LISTED);
         listed.truncate(LISTED);
+        listed.iter_mut().for_each(|entry| entry.read_head(&path));
         let has_history = self.0.join("history.html").is_file();
         let index = Index {
             listed,
@@ -342,6 +378,44 @@ mod tests {
         ];
         for foreign in foreign {
             assert_eq!(Entry::of(foreign.into()), None, "{foreign}");
+        }
+    }
+
+    #[test]
+    fn the_index_says_tool_and_most_wear_as_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let pages = ReportFolder::new(folder.path());
+        let head = |tool: &str, wear: &str| {
+            format!(
+                "<meta name=\"tool\" content=\"{tool}\">\n<meta name=\"most-wear\" content=\"{wear}\">"
+            )
+        };
+        let far = " ".repeat(HEAD_BYTES as usize) + &head("far", "far");
+        let cases = [
+            (
+                head("die &#60;A&#62;", "tooth 40 left: 80.5 ± 4.3 µm"),
+                "die &#60;A&#62;",
+                "tooth 40 left: 80.5 ± 4.3 µm",
+            ),
+            (head("<b>bold", "–"), "–", "–"),
+            (head("never ends", "").replace("\">", ""), "–", "–"),
+            (far, "–", "–"),
+        ];
+        for (page, tool, wear) in cases {
+            pages
+                .put_page(&page, None, "2026-01-31T12:00:05Z", "check", Word::Go)
+                .unwrap();
+            let index = std::fs::read_to_string(folder.path().join("index.html")).unwrap();
+            let newest = index.split("<tr><td").nth(1).unwrap();
+            assert!(
+                newest.contains(&format!("<td class=\"text\">{tool}</td>")),
+                "{newest}"
+            );
+            assert!(
+                newest.contains(&format!("<td class=\"text\">{wear}</td>")),
+                "{newest}"
+            );
+            std::fs::remove_dir_all(folder.path().join(ReportFolder::PAGES)).unwrap();
         }
     }
 

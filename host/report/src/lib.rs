@@ -95,6 +95,15 @@ pub fn wear_in_words(of: &Feature) -> String {
     }
 }
 
+/// The flank or patch with the most wear, and that wear; a dash if none was measured.
+#[must_use]
+pub fn most_wear(features: &[Feature]) -> String {
+    ring::deepest(features).map_or_else(
+        || "–".into(),
+        |of| format!("{}: {} µm", of.id, wear_in_words(of)),
+    )
+}
+
 /// A value in µm with its expanded uncertainty; a dash if absent.
 #[must_use]
 pub fn expanded_in_words(of: Option<Expanded>) -> String {

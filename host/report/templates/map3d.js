@@ -1,4 +1,4 @@
-// Draws the maps of #data in space and the section of the chosen part. Lengths in mm, deviations in µm; z of the tool is upright.
+// Draws the maps of #data in space and two sections of the chosen part. Lengths in mm, deviations in µm; z of the tool is upright.
 const by = (id) => document.getElementById(id);
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const shorts = (text) => new Int16Array(bytes(text).buffer);
@@ -293,42 +293,55 @@ function show(data) {
     say(event, cell ? [part ? part.name : "between the flanks", "deviation " + deviation(cell.um), "at " + where(cell), part && part.wear, part && part.verdict].filter(Boolean).join(" · ") : "");
   };
 
-  // The section: deviation along the chosen part at the slider's height.
-  const sectionOf = (part, height) => data.grids.filter((grid) => grid.part === part).flatMap((grid) => {
+  // The sections: deviations of the chosen part along the profile at one height, and up at one place of the profile.
+  const rowAt = (grid, height) => {
     const row = Math.round((height - grid.up_mm[0]) / grid.up_mm[1]);
-    return row < 0 || row >= grid.rows ? [] : [{ grid, row }];
-  });
+    return row < 0 || row >= grid.rows ? [] : grid.along_mm.map((along, column) => ({ grid, row, column, at: along }));
+  };
+  const columnAt = (grid, along) => {
+    const [first, last] = [grid.along_mm[0], grid.along_mm[grid.along_mm.length - 1]];
+    const cell = (last - first) / Math.max(1, grid.along_mm.length - 1);
+    if (along < first - cell || along > last + cell) return [];
+    const column = grid.along_mm.reduce((best, mm, i) => (Math.abs(mm - along) < Math.abs(grid.along_mm[best] - along) ? i : best), 0);
+    return Array.from({ length: grid.rows }, (_, row) => ({ grid, row, column, at: grid.height(row) }));
+  };
   const section = () => {
-    const height = +by("height").value;
-    by("at").textContent = `${number(height, 2)} ${data.axes[1]}`;
-    const found = chosen === null ? [] : sectionOf(chosen, height);
-    // Borders of the chosen part, and the line of the section.
+    const [height, along] = [+by("height").value, +by("along").value];
+    by("height-at").textContent = `${number(height, 2)} ${data.axes[1]}`;
+    by("along-at").textContent = `${number(along, 2)} mm along`;
+    const grids = chosen === null ? [] : data.grids.filter((grid) => grid.part === chosen);
+    const [rows, columns] = [grids.map((grid) => rowAt(grid, height)), grids.map((grid) => columnAt(grid, along))];
+    // Borders of the chosen part, and the lines of the sections.
     const runs = [];
-    for (const grid of data.grids) if (grid.part === chosen && chosen !== null) {
+    for (const grid of grids) {
       const [last, end] = [grid.along_mm.length - 1, grid.rows - 1];
       const span = (count, at) => Array.from({ length: count + 1 }, (_, i) => at(i));
       runs.push([...span(last, (i) => grid.place(0, i)), ...span(end, (i) => grid.place(i, last)), ...span(last, (i) => grid.place(end, last - i)), ...span(end, (i) => grid.place(end - i, 0))]);
     }
-    for (const { grid, row } of found) runs.push(grid.along_mm.map((_, i) => grid.place(row, i)));
+    for (const line of [...rows, ...columns]) runs.push(line.map(({ grid, row, column }) => grid.place(row, column)));
     const kept = runs.map((run) => run.filter(Boolean));
     markedRuns = kept.map((run) => run.length);
     markedHalf = extent(kept.flat()).half;
     gl.bindBuffer(gl.ARRAY_BUFFER, marked.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(kept.flat(2)), gl.DYNAMIC_DRAW);
-    chart(found.flatMap(({ grid, row }) => grid.along_mm.map((along, i) => [along, grid.um(row, i)])).sort((a, b) => a[0] - b[0]));
+    const points = (lines) => lines.flat().map(({ grid, row, column, at }) => [at, grid.um(row, column)]).sort((a, b) => a[0] - b[0]);
+    const [profile, lead] = [points(rows), points(columns)];
+    // One scale for both.
+    const reach = 1.1 * Math.max(10, ...(data.limits_um || []), ...[...profile, ...lead].map(([, um]) => Math.abs(um ?? 0)));
+    chart(by("profile"), profile, data.axes[0], along, reach);
+    chart(by("lead"), lead, "up / mm", height, reach);
     redraw();
   };
-  const chart = (points) => {
-    const box = by("section");
+  // `other` is where the other section crosses.
+  const chart = (box, points, axis, other, reach) => {
     const seen = points.filter(([, um]) => um !== null);
     if (!seen.length) {
-      box.textContent = chosen === null ? "" : "Nothing was seen at this height.";
+      box.textContent = chosen === null ? "" : "Nothing was seen along this line.";
       return;
     }
     const [wide, high, left, right, top, bottom] = [Math.max(280, box.clientWidth), 230, 46, 40, 12, 38];
     const [from, to] = [points[0][0], Math.max(points[points.length - 1][0], points[0][0] + 1e-3)];
     const limits = data.limits_um || [0, 0];
-    const reach = 1.1 * Math.max(10, limits[1], ...seen.map(([, um]) => Math.abs(um)));
     const x = (along) => left + ((along - from) / (to - from)) * (wide - left - right);
     const y = (um) => top + ((reach - um) / (2 * reach)) * (high - top - bottom);
     const step = (range, count) => { const raw = range / count, size = 10 ** Math.floor(Math.log10(raw)); return [1, 2, 5, 10].map((m) => m * size).find((s) => s >= raw); };
@@ -337,6 +350,7 @@ function show(data) {
     const digits = (of) => Math.max(0, -Math.floor(Math.log10(of) + 1e-9));
     const grid = ticks(from, to, stepX).map((v) => `<line x1="${x(v)}" x2="${x(v)}" y1="${top}" y2="${high - bottom}" class="grid"/><text x="${x(v)}" y="${high - bottom + 15}" text-anchor="middle">${number(v, digits(stepX))}</text>`)
       .concat(ticks(-reach, reach, stepY).map((v) => `<line x1="${left}" x2="${wide - right}" y1="${y(v)}" y2="${y(v)}" class="grid${Math.abs(v) < 1e-9 ? " zero" : ""}"/><text x="${left - 5}" y="${y(v) + 4}" text-anchor="end">${number(v, digits(stepY))}</text>`));
+    const crossing = `<line x1="${x(other)}" x2="${x(other)}" y1="${top}" y2="${high - bottom}" class="crossing"/>`;
     const bounds = data.limits_um ? ["warn", "stop"].map((name, i) => `<line x1="${left}" x2="${wide - right}" y1="${y(-limits[i])}" y2="${y(-limits[i])}" class="mark ${name}"/><text x="${wide - right + 4}" y="${y(-limits[i]) + 4}" class="mark ${name}">${name}</text>`) : [];
     // A curve ends where a cell was not seen.
     let curve = "", pen = "M";
@@ -345,8 +359,8 @@ function show(data) {
     const [low, most] = [Math.min(...seen.map(([, um]) => um)), Math.max(...seen.map(([, um]) => um))];
     const title = `Deviation from ${number(low)} to ${number(most)} µm; ${seen.length} of ${points.length} cells seen`;
     // Only numbers and fixed words: names of the data are set as text elsewhere.
-    box.innerHTML = `<svg viewBox="0 0 ${wide} ${high}" role="img" aria-label="${title}">${grid.join("")}${bounds.join("")}<path d="${curve}" class="curve"/>${dots}<text x="${(left + wide - right) / 2}" y="${high - 5}" text-anchor="middle" class="axis"></text><text transform="translate(11 ${(top + high - bottom) / 2}) rotate(-90)" text-anchor="middle">deviation / µm</text></svg><p class="muted">${title}.</p>`;
-    box.querySelector(".axis").textContent = data.axes[0];
+    box.innerHTML = `<svg viewBox="0 0 ${wide} ${high}" role="img" aria-label="${title}">${grid.join("")}${crossing}${bounds.join("")}<path d="${curve}" class="curve"/>${dots}<text x="${(left + wide - right) / 2}" y="${high - 5}" text-anchor="middle" class="axis"></text><text transform="translate(11 ${(top + high - bottom) / 2}) rotate(-90)" text-anchor="middle">deviation / µm</text></svg><p class="muted">${title}.</p>`;
+    box.querySelector(".axis").textContent = axis;
     box.firstChild.addEventListener("pointermove", (event) => {
       const own = event.currentTarget.getBoundingClientRect();
       const at = from + ((((event.clientX - own.left) / own.width) * wide - left) / (wide - left - right)) * (to - from);
@@ -355,25 +369,29 @@ function show(data) {
     });
     box.firstChild.addEventListener("pointerleave", (event) => say(event, ""));
   };
-  const choose = (part) => {
+  // The sections go through a cell: the deepest, unless one was picked.
+  const choose = (part, picked) => {
     chosen = part;
     by("part").value = part ?? "";
     const of = data.parts[part];
-    by("which").textContent = of ? `Section of ${of.name}` : "";
+    by("which").textContent = of ? `Sections of ${of.name}` : "";
     by("wear").textContent = of ? [of.wear, of.verdict].filter(Boolean).join(" · ") : "";
     const grids = data.grids.filter((grid) => grid.part === part);
-    const ends = grids.flatMap((grid) => [grid.height(0), grid.height(grid.rows - 1)]);
-    if (ends.length) {
-      const deepest = ofPart[part].reduce((best, cell) => ((cell.um ?? 0) < (best.um ?? 0) ? cell : best));
-      Object.assign(by("height"), { min: Math.min(...ends), max: Math.max(...ends), step: "any" });
-      by("height").value = deepest.grid.height(deepest.row);
+    if (grids.length) {
+      const through = picked ?? ofPart[part].reduce((best, cell) => ((cell.um ?? 0) < (best.um ?? 0) ? cell : best));
+      const slide = (id, ends, value) => {
+        Object.assign(by(id), { min: Math.min(...ends), max: Math.max(...ends), step: "any" });
+        by(id).value = value;
+      };
+      slide("height", grids.flatMap((grid) => [grid.height(0), grid.height(grid.rows - 1)]), through.grid.height(through.row));
+      slide("along", grids.flatMap((grid) => grid.along_mm), through.grid.along_mm[through.column]);
     }
     section();
   };
 
   for (const i of data.parts.keys()) if (ofPart[i].length) by("part").add(new Option([data.parts[i].name, data.parts[i].verdict].filter(Boolean).join(" · "), i));
   by("part").addEventListener("change", () => { choose(+by("part").value); focus(chosen); });
-  by("height").addEventListener("input", section);
+  for (const id of ["height", "along"]) by(id).addEventListener("input", section);
   by("cut").addEventListener("change", redraw);
   by("reset").addEventListener("click", reset);
   by("whole").addEventListener("click", whole);
@@ -384,7 +402,8 @@ function show(data) {
   by("farther").addEventListener("click", () => zoom(1.25));
   const perPx = () => (2 * view.mm) / canvas.clientHeight;
   const pointers = new Map();
-  canvas.addEventListener("pointerdown", (event) => { pointers.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); say(event, ""); });
+  let pressed = null;
+  canvas.addEventListener("pointerdown", (event) => { pointers.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); pressed = event; say(event, ""); });
   for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
   canvas.addEventListener("pointerleave", (event) => say(event, ""));
   let hovering = null;
@@ -405,7 +424,13 @@ function show(data) {
     } else if (event.shiftKey || event.buttons === 4) move(dx * perPx(), -dy * perPx());
     else turn(dx * 0.008, dy * 0.008);
   });
-  canvas.addEventListener("click", (event) => { const cell = under(event); sayCell(event, cell); if (cell && cell.grid.part !== null && cell.grid.part !== chosen) choose(cell.grid.part); });
+  canvas.addEventListener("click", (event) => {
+    // The end of a drag picks nothing.
+    if (pressed && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) > 4) return;
+    const cell = under(event);
+    sayCell(event, cell);
+    if (cell && cell.grid.part !== null) choose(cell.grid.part, cell);
+  });
   canvas.addEventListener("dblclick", (event) => { const cell = under(event); if (cell) { view.middle = cell.here; zoom(0.6); } });
   canvas.addEventListener("wheel", (event) => { event.preventDefault(); zoom(Math.exp(clamp(event.deltaY, -200, 200) * 0.0015)); }, { passive: false });
   canvas.addEventListener("keydown", (event) => {

@@ -20,7 +20,7 @@ cargo xtask COMMAND
   test [--all]           every test that this machine can run, and the arrows between the rooms; says what it could not run
                          and how to get it; --all: fails instead, and runs the long campaigns
   deps                   the arrows between the rooms: who may depend on whom
-  python                 the Python package: installed by pip into an environment below target, its tests, its example, its types
+  python                 the Python package: installed by pip into an environment below target, its tests, its examples, its types
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
   firmware               every board image, with its budgets

@@ -1,4 +1,4 @@
-//! The Python package: installed as a user does it, tested against others, its example run, its types held against it.
+//! The Python package: installed as a user does it, tested against others, its examples run, its types held against it.
 
 use std::path::Path;
 use std::process::Command;
@@ -20,10 +20,16 @@ pub fn run_all(root: &Path) -> Result<(), String> {
         command.current_dir(&package).args(arguments);
         command
     };
-    run(command(&["-m", "pip", "install", "--quiet", ".[test]"]))?;
+    run(command(&[
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        ".[test,view3d]",
+    ]))?;
     run(command(&["-m", "unittest", "discover", "tests"]))?;
     run(command(&["examples/worn_block.py"]))?;
-    // What the types promise is what is there, and the example keeps to them.
+    // What the types promise is what is there, and the examples keep to them.
     let stubs = [
         "-m",
         "mypy.stubtest",
@@ -32,12 +38,7 @@ pub fn run_all(root: &Path) -> Result<(), String> {
         "tests/stubtest.txt",
     ];
     run(command(&stubs))?;
-    run(command(&[
-        "-m",
-        "mypy",
-        "--strict",
-        "examples/worn_block.py",
-    ]))
+    run(command(&["-m", "mypy", "--strict", "examples"]))
 }
 
 /// Whether Python can make environments here.
