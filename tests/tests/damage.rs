@@ -159,7 +159,7 @@ mod by_mesh {
         let gear = demo_gear();
         let mut mesh = gear
             .mesh(&Meshing {
-                axial_slices: 330,
+                axial_slices: 132,
                 ..Meshing::default()
             })
             .unwrap();

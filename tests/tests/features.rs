@@ -539,6 +539,71 @@ fn a_patch_that_cannot_be_judged_is_refused_or_indeterminate() {
     );
 }
 
+/// Whoever has the CAD of a part names its faces by points on them, and checks.
+#[test]
+fn init_makes_a_tool_of_faces_by_points_on_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (cad, out) = (folder.path().join("plate.ply"), folder.path().join("tool"));
+    put(&cad, &plate(|_, _| 0.0));
+    let init = |points: &[&str], limits: &[&str]| {
+        let mut init = flankscope();
+        init.arg("init").arg(&cad).args(["--json", "-", "--out"]);
+        run(init.arg(&out).args(points).args(limits))
+    };
+    let limits = ["--warn-um", "30", "--limit-um", "50"];
+    let missing = init(&["--patch", "41.3,0.51,20.02"], &[]);
+    assert_eq!(missing.code, 3);
+    for option in ["--datum", "--warn-um", "--limit-um"] {
+        assert!(missing.stderr.contains(option), "{}", missing.stderr);
+    }
+    assert!(!missing.stderr.contains("--teeth"), "{}", missing.stderr);
+    let toothless = init(&["--teeth", "1"], &limits);
+    assert_eq!(toothless.code, 3);
+    assert!(
+        toothless.stderr.contains("name faces by --patch"),
+        "{}",
+        toothless.stderr
+    );
+    let shoulders = ["--datum", "left=41.8,5,20", "--datum", "41.8,-5,20"];
+    for (patch, said) in [
+        // 0.3 mm before the face.
+        ("boss=41.0,0.51,20.02", "off the CAD"),
+        // 0.4 mm from its rim.
+        ("boss=41.3,2.1,20.02", "take a point farther inside"),
+        ("boss=41.8,5.5,20.02", "share"),
+        ("boss=41.3,0.51", "right would be X,Y,Z in mm"),
+    ] {
+        let refused = init(&[&["--patch", patch][..], &shoulders].concat(), &limits);
+        assert_ne!(refused.code, 0, "{patch}");
+        assert!(refused.stderr.contains(said), "{patch}: {}", refused.stderr);
+        assert!(!out.exists(), "{patch}");
+    }
+    let boss = ["--patch", "boss=41.3,0.51,20.02"];
+    let made = init(&[&boss[..], &shoulders].concat(), &limits);
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let faces = made.json["patches"].as_array().unwrap();
+    let names: Vec<_> = faces
+        .iter()
+        .map(|face| face["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(names, ["boss", "left", "datum 2"]);
+    assert_eq!(made.json["chord_error_um"], 0.0);
+    // The face is 5 mm wide, its rim 1.99 mm from the point: a square of 3 mm fits with a rim of 0.25 mm.
+    assert_eq!(
+        faces[0]["zone_mm"],
+        serde_json::json!([[-1.5, 1.5], [-1.5, 1.5]])
+    );
+    let tool = out.to_str().unwrap();
+    let on = ["--tool", tool, "--link", "sim"];
+    let sound = inspect(&on);
+    assert_eq!(sound.code, 0, "{} {}", sound.json["reason"], sound.stderr);
+    let damaged = folder.path().join("damaged.ply");
+    put(&damaged, &plate(|_, _| 0.08));
+    let worn = inspect(&[&on[..], &["--die-mesh", damaged.to_str().unwrap()]].concat());
+    assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
+    assert_eq!(worn.json["features"][0]["patch"], "boss");
+}
+
 #[test]
 fn a_racks_flank_is_judged_by_its_neighbours_and_not_by_lands_that_leave_it_open() {
     if !dear() {

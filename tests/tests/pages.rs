@@ -335,3 +335,103 @@ fn a_history_is_read_on_a_phone() {
     stands_alone(&page);
     browser.fits(&page, 2);
 }
+
+/// An L-shaped prism, which looks like itself in one pose only.
+const PART: &str = "v 0 0 0\nv 20 0 0\nv 20 6 0\nv 8 6 0\nv 8 14 0\nv 0 14 0\n\
+    v 0 0 10\nv 20 0 10\nv 20 6 10\nv 8 6 10\nv 8 14 10\nv 0 14 10\n\
+    f 1 3 2\nf 1 4 3\nf 1 5 4\nf 1 6 5\nf 7 8 9\nf 7 9 10\nf 7 10 11\nf 7 11 12\n\
+    f 1 2 8 7\nf 2 3 9 8\nf 3 4 10 9\nf 4 5 11 10\nf 5 6 12 11\nf 6 1 7 12\n";
+
+/// Clicks all over both pictures, then takes four pairs of places that belong together, far apart from each other.
+const PICKING: &str = "addEventListener('load', () => setTimeout(() => {
+  const click = (side, x, y) => {
+    const canvas = by(side), own = canvas.getBoundingClientRect();
+    canvas.dispatchEvent(new MouseEvent('click', { clientX: own.left + x, clientY: own.top + y }));
+    return by(`${side}-at`).textContent.split(',').map(Number);
+  };
+  const places = (side) => {
+    const found = [];
+    for (let y = 10; y < by(side).clientHeight; y += 22) for (let x = 10; x < by(side).clientWidth; x += 22) {
+      const at = click(side, x, y);
+      if (at.length === 3) found.push({ x, y, at });
+    }
+    return found;
+  };
+  const [cloud, cad] = ['cloud', 'cad'].map(places);
+  const [s, c] = [Math.sin(0.4), Math.cos(0.4)];
+  const laid = ([x, y, z]) => [c * x - s * y + 3, s * x + c * y - 2, z + 7];
+  const apart = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
+  const couples = cloud.flatMap((a) => cad.map((b) => [apart(laid(a.at), b.at), a, b])).sort((a, b) => a[0] - b[0]);
+  const chosen = [];
+  for (const [off, a, b] of couples) if (off < 1 && chosen.length < 4 && chosen.every((of) => apart(of[0].at, a.at) > 4)) chosen.push([a, b]);
+  for (const [a, b] of chosen) { click('cloud', a.x, a.y); click('cad', b.x, b.y); by('add').click(); }
+  say(by('pairs').value.trim().split('\\n').join(';'));
+}, 0))";
+
+/// Whoever does not know where a cloud lies clicks the same places of both, and registers with what the page wrote.
+#[test]
+fn pairs_are_picked_by_clicks_and_start_a_registration() {
+    let Some(browser) = Browser::found() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (part, sampled, cloud) = (at("part.obj"), at("sampled.xyz"), at("cloud.xyz"));
+    std::fs::write(&part, PART).unwrap();
+    let command = |args: &[&str]| {
+        let done = run(flankscope().args(args));
+        assert_eq!(done.code, 0, "{args:?}: {}", done.stderr);
+        done
+    };
+    let count = ["--count", "4000", "--seed", "3"];
+    command(&[&["sample", "--cad", &part][..], &count, &["-o", &sampled]].concat());
+    // The cloud lies elsewhere: turned by 0.4 rad, moved by 3, -2 and 7 mm it is the CAD's.
+    let (sin, cos) = 0.4_f64.sin_cos();
+    let text = std::fs::read_to_string(&sampled).unwrap();
+    let moved = text
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| {
+            let p: Vec<f64> = line
+                .split_whitespace()
+                .map(|c| c.parse().unwrap())
+                .collect();
+            let [x, y, z] = [p[0] - 3.0, p[1] + 2.0, p[2] - 7.0];
+            format!("{} {} {z}\n", cos * x + sin * y, cos * y - sin * x)
+        });
+    std::fs::write(&cloud, moved.collect::<String>()).unwrap();
+
+    let page = at("pick.html");
+    let on = ["register", "--cad", &part, "--cloud", &cloud];
+    command(&[&on[..], &["--pick", &page]].concat());
+    let page = std::path::Path::new(&page);
+    let picked = browser.ask(page, 1280, PICKING);
+    let pairs: Vec<&str> = picked.split(';').collect();
+    assert_eq!(pairs.len(), 4, "{picked}");
+    // What was picked are points of the file, to the 0.1 um that the page writes.
+    let text = std::fs::read_to_string(&cloud).unwrap();
+    let numbers =
+        |line: &str, by: char| -> Vec<f64> { line.split(by).map(|c| c.parse().unwrap()).collect() };
+    let known: Vec<Vec<f64>> = text.lines().map(|line| numbers(line, ' ')).collect();
+    for pair in &pairs {
+        let pair = numbers(pair, ',');
+        assert_eq!(pair.len(), 6, "{pair:?}");
+        let is_near = |point: &Vec<f64>| (0..3).all(|k| (point[k] - pair[k]).abs() < 1e-4);
+        assert!(known.iter().any(is_near), "{pair:?}");
+    }
+    let file = at("pairs.csv");
+    std::fs::write(&file, pairs.join("\n") + "\n").unwrap();
+    let found = command(&[&on[..], &["--pairs", &file, "--json", "-"]].concat());
+    assert_eq!(found.json["status"], "registered", "{}", found.json);
+    let rows: [[f64; 4]; 4] =
+        serde_json::from_value(found.json["tool_from_cloud"].clone()).unwrap();
+    for (row, expected) in rows
+        .iter()
+        .zip([[cos, -sin, 0.0, 3.0], [sin, cos, 0.0, -2.0]])
+    {
+        for (got, expected) in row.iter().zip(expected) {
+            assert!((got - expected).abs() < 1e-3, "{rows:?}");
+        }
+    }
+    browser.fits(page, 1);
+}

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
+use clap::ValueEnum as _;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::tool::gear_in_cad::{FoundGear, find_gear};
@@ -11,6 +12,7 @@ use flankscope_report::numbered_ring;
 use serde::Serialize;
 
 use crate::geometry::{Cad, CadArgs, FileUnit, tell, write_file};
+use crate::init_patches::{FacePoint, FaceReport, Faces};
 use crate::output::{Common, Outcome, write_whole};
 
 /// Name of the CAD in the folder where it had to be moved to the tool frame.
@@ -20,13 +22,15 @@ const RING: &str = "ring.svg";
 /// Chord error, above which a CAD mesh takes too much of a limit, as a share of the warning limit.
 const MOST_CHORD: f64 = 0.2;
 
-/// Make a tool folder from a CAD mesh: find axis, teeth, involute and radii, write tool.toml and a picture of the numbered teeth.
+/// Make a tool folder from a CAD mesh: find axis, teeth, involute and radii, write tool.toml and a picture of the numbered teeth; of a
+/// part without teeth, its faces by points on them.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope init die.stl --teeth 12,40,68 --warn-um 30 --limit-um 50 --out die\n\n\
     The mesh must be a spur gear, internal or external, anywhere in space: it is moved so that the gear's axis is z, its teeth are\n\
     counted anticlockwise from +x, seen from +z. Pitch circle is the one on which teeth and spaces are equally wide. A STEP file is\n\
-    meshed first:\n  gmsh die.step -2 -bin -setnumber Mesh.MeshSizeFromCurvature 200 -setnumber Mesh.MeshSizeMax 5 -o die.stl"
+    meshed first:\n  gmsh die.step -2 -bin -setnumber Mesh.MeshSizeFromCurvature 200 -setnumber Mesh.MeshSizeMax 5 -o die.stl\n\n\
+    A part without teeth:\n  flankscope init die.stl --patch boss=41.3,0,20 --datum 41.8,5,20 --datum 41.8,-5,20 --warn-um 30 --limit-um 50 --out die"
 )]
 pub struct Args {
     /// CAD mesh: PLY, STL or OBJ
@@ -41,6 +45,22 @@ pub struct Args {
     /// Critical teeth, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     teeth: Option<Vec<u32>>,
+    /// Face to judge of a part without teeth, by a point on it, mm; may be repeated
+    #[arg(
+        long,
+        value_name = "[NAME=]X,Y,Z",
+        allow_hyphen_values = true,
+        conflicts_with = "teeth"
+    )]
+    patch: Vec<FacePoint>,
+    /// Face that the workpiece never touches: the pose rests on it; may be repeated
+    #[arg(
+        long,
+        value_name = "[NAME=]X,Y,Z",
+        allow_hyphen_values = true,
+        conflicts_with = "teeth"
+    )]
+    datum: Vec<FacePoint>,
     /// Wear from which a flank warns
     #[arg(long, value_name = "UM")]
     warn_um: Option<f64>,
@@ -57,7 +77,10 @@ pub struct Args {
 #[derive(Serialize)]
 struct Report<'a> {
     folder: &'a Path,
-    gear: &'a GearData,
+    /// Null of a part without teeth.
+    gear: Option<&'a GearData>,
+    /// Empty of a gear.
+    patches: Vec<FaceReport<'a>>,
     chord_error_um: f64,
     /// The tool frame from that of the CAD file, row by row, mm.
     tool_from_file: [[f64; 4]; 4],
@@ -75,11 +98,17 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(why) = orientation.unsigned {
         bail!("{}: {why}", cad_args.trouble());
     }
-    let (found, mesh) = find_gear(&mesh).with_context(|| cad_args.trouble())?;
+    if !args.patch.is_empty() {
+        return args.write_faces(&Faces::new(&args.patch, &args.datum, &mesh)?);
+    }
+    let (found, mesh) = find_gear(&mesh).map_err(|error| {
+        anyhow!(
+            "{}: {error}; of a part without teeth, name faces by --patch and --datum",
+            cad_args.trouble()
+        )
+    })?;
     let toml = args.tool_toml(&found)?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let file = args.out.join(FILE_NAME);
+    args.make_folder()?;
     if args.is_moved(&found) {
         write_file(&args.out.join(MOVED_CAD), |out| {
             let cad = PointFile {
@@ -89,23 +118,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             cad.write(Format::Ply, out)
         })?;
     } else {
-        let bytes = std::fs::read(&args.cad).with_context(|| cad_args.trouble())?;
-        write_whole(&args.out.join(args.cad_name()?), &bytes)?;
+        args.copy_cad()?;
     }
     let teeth = args.teeth.as_deref().unwrap_or_default();
     write_whole(
         &args.out.join(RING),
         numbered_ring(&found.gear, teeth).as_bytes(),
     )?;
-    write_whole(&file, toml.as_bytes())?;
-    // What was written is read by the rules of every command.
-    if let Err(error) = Tool::load(&args.out) {
-        std::fs::remove_file(&file)?;
-        bail!("{error}; no {FILE_NAME} is written");
-    }
+    args.write_tool(&toml)?;
     args.common.write_json(&Report {
         folder: &args.out,
-        gear: &found.gear,
+        gear: Some(&found.gear),
+        patches: Vec::new(),
         chord_error_um: 1e3 * found.chord_error_mm,
         tool_from_file: found.rows(),
     })?;
@@ -127,11 +151,22 @@ impl Args {
              Mesh.MeshSizeMax 5 -o die.stl  (other ways: docs/guide.md)",
             self.cad.display()
         );
+        let is_part = !(self.patch.is_empty() && self.datum.is_empty());
         let named = [
             (
                 "--teeth N,N,...",
-                self.teeth.is_some(),
-                "the critical teeth",
+                self.teeth.is_some() || is_part,
+                "the critical teeth; of a part without teeth --patch and --datum",
+            ),
+            (
+                "--patch X,Y,Z",
+                !(self.patch.is_empty() && is_part),
+                "a face to judge",
+            ),
+            (
+                "--datum X,Y,Z",
+                !(self.datum.is_empty() && is_part),
+                "faces that the workpiece never touches",
             ),
             ("--warn-um UM", self.warn_um.is_some(), "wear that warns"),
             (
@@ -159,6 +194,99 @@ impl Args {
         Ok(())
     }
 
+    fn make_folder(&self) -> anyhow::Result<()> {
+        std::fs::create_dir_all(&self.out)
+            .with_context(|| format!("cannot make the folder {}", self.out.display()))
+    }
+
+    fn copy_cad(&self) -> anyhow::Result<()> {
+        let bytes = std::fs::read(&self.cad)
+            .with_context(|| format!("cannot read {}", self.cad.display()))?;
+        write_whole(&self.out.join(self.cad_name()?), &bytes)
+    }
+
+    /// Writes the tool file; what was written is read by the rules of every command.
+    fn write_tool(&self, toml: &str) -> anyhow::Result<()> {
+        let file = self.out.join(FILE_NAME);
+        write_whole(&file, toml.as_bytes())?;
+        if let Err(error) = Tool::load(&self.out) {
+            std::fs::remove_file(&file)?;
+            bail!("{error}; no {FILE_NAME} is written");
+        }
+        Ok(())
+    }
+
+    /// The folder of a part without teeth.
+    fn write_faces(&self, faces: &Faces) -> anyhow::Result<Outcome> {
+        let (Some(warn_um), Some(limit_um)) = (self.warn_um, self.limit_um) else {
+            bail!("limits are missing");
+        };
+        let chord_error_um = self.chord_error_um(faces.chord_error_mm, warn_um)?;
+        let unit = self.cad_unit.to_possible_value();
+        let toml = format!(
+            "{}\n{}[inspect]\nwarn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n",
+            self.head_toml(
+                &self.cad_name()?,
+                unit.as_ref().map_or("mm", |unit| unit.get_name()),
+                &format!(
+                    "chord_error_um = {chord_error_um}   # facets lie within it of the judged faces"
+                )
+            ),
+            faces.toml()
+        );
+        self.make_folder()?;
+        self.copy_cad()?;
+        self.write_tool(&toml)?;
+        self.common.write_json(&Report {
+            folder: &self.out,
+            gear: None,
+            patches: faces.report(),
+            chord_error_um,
+            tool_from_file: std::array::from_fn(|i| {
+                std::array::from_fn(|k| if i == k { 1.0 } else { 0.0 })
+            }),
+        })?;
+        tell(&self.common, || {
+            format!(
+                "{}facets within {chord_error_um} um\n{}: {FILE_NAME} and CAD\nnext: flankscope inspect --tool {} --link sim",
+                faces.told(),
+                self.out.display(),
+                self.out.display(),
+            )
+        });
+        Ok(Outcome::Done)
+    }
+
+    /// Chord error as the tool file states it, µm: rounded up to a tenth.
+    ///
+    /// # Errors
+    /// It would take too much of the warning limit.
+    fn chord_error_um(&self, chord_error_mm: f64, warn_um: f64) -> anyhow::Result<f64> {
+        let chord_error_um = (1e4 * chord_error_mm).ceil() / 10.0;
+        ensure!(
+            chord_error_um <= MOST_CHORD * warn_um,
+            "the facets of {} lie up to {chord_error_um} um from the surface, {:.1} um may be (a fifth of --warn-um); mesh the CAD finer",
+            self.cad.display(),
+            MOST_CHORD * warn_um
+        );
+        Ok(chord_error_um)
+    }
+
+    /// The lines of a tool file before gear or patches.
+    fn head_toml(&self, cad: &str, unit: &str, chord_error: &str) -> String {
+        let quoted = |text: &str| toml::Value::from(text).to_string();
+        let stem = self.cad.file_stem().and_then(|stem| stem.to_str());
+        let name = self.name.as_deref().or(stem).unwrap_or("die");
+        format!(
+            "# Made by `flankscope init`; docs/formats/tool.md has every key.\n\
+             name = {}\n# serial = \"...\"   # of this die, so that its history stays with it\n\n\
+             [cad]\nfile = {}\nunit = {}\n{chord_error}\n",
+            quoted(name),
+            quoted(cad),
+            quoted(unit),
+        )
+    }
+
     /// Whether the mesh in the folder is another than the file: in mm and about z.
     fn is_moved(&self, found: &FoundGear) -> bool {
         found.is_moved() || !matches!(self.cad_unit, FileUnit::Mm)
@@ -176,25 +304,13 @@ impl Args {
             bail!("teeth and limits are missing");
         };
         let gear = &found.gear;
-        // Stated to a tenth of a micrometre, rounded up; the mesh is never taken as exact.
-        let chord_error_um = (1e4 * found.chord_error_mm).ceil().max(1.0) / 10.0;
-        ensure!(
-            chord_error_um <= MOST_CHORD * warn_um,
-            "the facets of {} lie up to {chord_error_um} um from the involute, {:.1} um may be (a fifth of --warn-um); mesh the CAD finer",
-            self.cad.display(),
-            MOST_CHORD * warn_um
-        );
+        // The mesh of a gear is never taken as exact.
+        let chord_error_um = self.chord_error_um(found.chord_error_mm, warn_um)?.max(0.1);
         let cad = if self.is_moved(found) {
             MOVED_CAD.to_owned()
         } else {
             self.cad_name()?
         };
-        let stem = self
-            .cad
-            .file_stem()
-            .and_then(|stem| stem.to_str())
-            .unwrap_or("die");
-        let name = self.name.as_deref().unwrap_or(stem);
         // Millimetres and degrees to a millionth.
         let gear = GearData {
             module_mm: rounded(gear.module_mm),
@@ -206,19 +322,21 @@ impl Args {
             radial_threshold_mm: rounded(gear.radial_threshold_mm),
             ..gear.clone()
         };
-        let quoted = |text: &str| toml::Value::from(text).to_string();
         let teeth: Vec<String> = teeth.iter().map(u32::to_string).collect();
         let [low, high] = gear.height_mm;
         Ok(format!(
-            "# Made by `flankscope init`; docs/formats/tool.md has every key.\n\
-             name = {}\n# serial = \"...\"   # of this die, so that its history stays with it\n\n\
-             [cad]\nfile = {}\nunit = \"mm\"\nchord_error_um = {chord_error_um}   # facets lie within it of the involute\n\n\
+            "{}\n\
              # Found in the CAD. Teeth and spaces are equally wide on the pitch circle; teeth follow the first one anticlockwise, seen\n\
              # from +z ({RING}).\n[gear]\n{}\n\
              [inspect]\nteeth = [{}]\nheight_mm = {:?}   # where the head looks\nwarn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n\
              # as_built_um = 5.0   # standard uncertainty of the flanks' form as built; without it the CAD is taken as true\n",
-            quoted(name),
-            quoted(&cad),
+            self.head_toml(
+                &cad,
+                "mm",
+                &format!(
+                    "chord_error_um = {chord_error_um}   # facets lie within it of the involute"
+                )
+            ),
             toml::to_string(&gear)?,
             teeth.join(", "),
             0.5 * (low + high),

@@ -26,6 +26,7 @@ mod grid;
 mod help;
 mod history;
 mod init;
+mod init_patches;
 mod inspect;
 mod instrument;
 mod interrupt;

@@ -14,21 +14,24 @@ use flankscope_metrology::registration::{
     Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM, detect_teeth, register,
     register_by_article,
 };
-use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::{Surface, sampling};
 use flankscope_metrology::verdict::Code;
+use flankscope_report::{PickSides, pick_html};
 use serde::Serialize;
 
 use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::{
     Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
 };
-use crate::output::{Common, Outcome};
+use crate::output::{Common, Outcome, write_whole};
 
 /// Tolerance of the CAD's periodicity for poses one pitch apart to count as alike, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
-/// Seed of the article's reference points.
+/// Seed of the article's reference points, and of those on the page for picking.
 const SEED: u64 = 0;
+/// Points on the CAD of that page.
+const PICK_SAMPLES: usize = 30_000;
 
 /// Register a cloud to a CAD mesh or to another cloud.
 #[derive(clap::Args)]
@@ -72,6 +75,9 @@ pub struct Args {
     /// Write the cloud in CAD coordinates, as binary PLY, text (name.xyz) or arrays for NumPy (name.npz); only if it was registered.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Register nothing, but write a page on which corresponding points of cloud and CAD are picked by clicks and saved for --pairs.
+    #[arg(long, value_name = "PAGE.html", conflicts_with_all = ["output", "init", "pairs"])]
+    pick: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -148,6 +154,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         args.article.article_settings.is_none() || args.method == Method::Article,
         "--article-settings is for the article's method: add --method article"
     );
+    if let Some(page) = &args.pick {
+        return args.write_pick_page(page);
+    }
     let start = Instant::now();
     let Laid {
         cloud,
@@ -200,6 +209,43 @@ struct Laid {
 }
 
 impl Args {
+    /// Cloud and CAD (or reference cloud) beside each other.
+    fn write_pick_page(&self, page: &Path) -> anyhow::Result<Outcome> {
+        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
+            (Some(cad), _) => {
+                let Cad { mesh, .. } = cad.load(&self.common)?;
+                let sampled = sampling::sample(&mesh, PICK_SAMPLES, SEED);
+                (&cad.path, sampled.with_context(|| cad.trouble())?)
+            }
+            (None, Some(reference)) => {
+                let other = load_cloud(reference, self.cloud_unit)?;
+                (reference, other.points.to_vec())
+            }
+            (None, None) => bail!("nothing to pick on: --cad MESH or --reference CLOUD"),
+        };
+        let [cloud_name, cad_name] = [self.cloud.as_path(), cad].map(|file| {
+            file.file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned()
+        });
+        let html = pick_html(&PickSides {
+            cloud: &cloud_name,
+            cloud_mm: &cloud.points,
+            cad: &cad_name,
+            cad_mm: &cad_mm,
+        })?;
+        write_whole(page, html.as_bytes())?;
+        tell(&self.common, || {
+            format!(
+                "{}: open it in a browser, pick pairs, save them, and register with --pairs pairs.csv",
+                page.display()
+            )
+        });
+        Ok(Outcome::Done)
+    }
+
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, .. } = cad.load(&self.common)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;

@@ -138,7 +138,7 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
 }
 
 /// The toothing of a new tool from above, as a picture of its own: all teeth numbered as far as there is room, tooth 1 and those
-/// that are inspected marked.
+/// that are inspected marked, and a line for the tooth at which the clamp has its mark.
 #[must_use]
 pub fn numbered_ring(gear: &GearData, inspected: &[u32]) -> String {
     let outer_mm = gear.root_radius_mm.max(gear.tip_radius_mm);
@@ -185,10 +185,16 @@ pub fn numbered_ring(gear: &GearData, inspected: &[u32]) -> String {
     let [x, y] = at(1.0, [OUTER * 0.72, 0.0]);
     let _ = write!(
         svg,
-        r##"<path d="M{MIDDLE} {MIDDLE}H{x:.1}" stroke="#777" stroke-width="0.6"/><text x="{x:.1}" y="{:.1}" text-anchor="end" fill="#555">x</text><text x="{MIDDLE}" y="{:.1}" text-anchor="middle">{} teeth, from above</text></svg>"##,
+        r##"<path d="M{MIDDLE} {MIDDLE}H{x:.1}" stroke="#777" stroke-width="0.6"/><text x="{x:.1}" y="{:.1}" text-anchor="end" fill="#555">x</text><text x="{MIDDLE}" y="{:.1}" text-anchor="middle">{} teeth, from above</text><text x="8" y="16"><tspan fill="#0072b2">tooth 1</tspan>{}</text><text x="8" y="{:.1}">mark of the clamp at tooth: ____________</text></svg>"##,
         y - 4.0,
         MIDDLE + 40.0,
-        gear.teeth
+        gear.teeth,
+        if inspected.is_empty() {
+            ""
+        } else {
+            r##", <tspan fill="#d55e00">inspected teeth</tspan>"##
+        },
+        SIZE - 8.0
     );
     svg
 }

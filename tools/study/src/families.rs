@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 
 use flankscope_bench::damage::Random;
 use flankscope_foundation::files::write_whole;
+use flankscope_gear_cad::Mesh;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::Feature;
 
@@ -150,75 +151,93 @@ impl Draw {
     }
 }
 
-/// Draws `views` dies of a family for each of `heads` heads, and judges them.
+/// Draws `views` dies of each family for each of `heads` heads, every head calibrated once, and judges them; in the order of the families.
 ///
 /// # Errors
 /// The bench or the instrument returns an error.
 pub fn draws(
-    family: Family,
+    families: &[Family],
     (heads, views): (u32, u32),
     seed: u64,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Vec<Draw>> {
     let setup = Setup::load(None)?;
-    let cad = setup.cad();
     let of_heads = on_all_cores(heads, |head| {
-        let mut stand = Stand::new(&setup, head, seed, family == Family::Class7)?;
-        let since = family.has_baselines() && head % 2 == 1;
-        if since {
-            stand = stand.with_baseline()?;
-        }
-        let mut all = Vec::new();
-        for view in 1..=views {
-            let number = (family as u32) << 12 | view;
-            let mut random = Random::new((stand.seed << 24) | u64::from(number), 9);
-            let die = die(family, &mut random, &stand);
-            let (outcome, lit) = stand.look_truly(die.mesh, number)?;
-            let since = if since { ", since a baseline" } else { "" };
-            let found = stand
-                .flanks()
-                .map(|id| judged(&outcome, flank(id.flank)))
-                .into_iter()
-                .collect::<anyhow::Result<Vec<Feature>>>()?;
-            let what = format!("head {head} view {view}, {}{since}", die.what);
-            if let Some(beside) = die.beside {
-                let own = found.iter().map(|of| of.verdict).max();
-                let word = own
-                    .max(outcome.in_view.word())
-                    .unwrap_or(Word::Indeterminate);
+        let calibrated = Stand::calibrated(&setup, head, seed)?;
+        let of_families = families.iter().map(|&family| {
+            let mut stand = Stand::of(&setup, &calibrated, head, seed, family == Family::Class7)?;
+            let since = family.has_baselines() && head % 2 == 1;
+            if since {
+                stand = stand.with_baseline()?;
+            }
+            before(stand, family, (head, views), since, &setup.cad(), &tell)
+        });
+        of_families.collect::<anyhow::Result<Vec<Vec<Draw>>>>()
+    })?;
+    let mut all: Vec<Draw> = of_heads.into_iter().flatten().flatten().collect();
+    // Stable: within a family, head by head.
+    all.sort_by_key(|draw| families.iter().position(|of| *of == draw.family));
+    Ok(all)
+}
+
+/// The dies of one family before one head.
+fn before(
+    mut stand: Stand,
+    family: Family,
+    (head, views): (u32, u32),
+    since: bool,
+    cad: &Mesh,
+    tell: &(impl Fn(&str) + Sync),
+) -> anyhow::Result<Vec<Draw>> {
+    let mut all = Vec::new();
+    for view in 1..=views {
+        let number = (family as u32) << 12 | view;
+        let mut random = Random::new((stand.seed << 24) | u64::from(number), 9);
+        let die = die(family, &mut random, &stand);
+        let (outcome, lit) = stand.look_truly(die.mesh, number)?;
+        let since = if since { ", since a baseline" } else { "" };
+        let found = stand
+            .flanks()
+            .map(|id| judged(&outcome, flank(id.flank)))
+            .into_iter()
+            .collect::<anyhow::Result<Vec<Feature>>>()?;
+        let what = format!("head {head} view {view}, {}{since}", die.what);
+        if let Some(beside) = die.beside {
+            let own = found.iter().map(|of| of.verdict).max();
+            let word = own
+                .max(outcome.in_view.word())
+                .unwrap_or(Word::Indeterminate);
+            all.push(Draw {
+                family,
+                head,
+                what,
+                truth_um: beside.in_view_um(&stand, &lit),
+                word,
+                found: None,
+            });
+        } else {
+            let by_distance = || {
+                let zones = stand.truths(cad);
+                zones.map(|zone| zone.max_disc_wear_um.unwrap_or(f64::NAN))
+            };
+            let truths_um = die.truths_um.unwrap_or_else(by_distance);
+            for (found, truth_um) in found.into_iter().zip(truths_um) {
                 all.push(Draw {
                     family,
                     head,
-                    what,
-                    truth_um: beside.in_view_um(&stand, &lit),
-                    word,
-                    found: None,
+                    what: format!("{what}, {}", found.id.flank),
+                    truth_um,
+                    word: found.verdict,
+                    found: Some(found),
                 });
-            } else {
-                let by_distance = || {
-                    let zones = stand.truths(&cad);
-                    zones.map(|zone| zone.max_disc_wear_um.unwrap_or(f64::NAN))
-                };
-                let truths_um = die.truths_um.unwrap_or_else(by_distance);
-                for (found, truth_um) in found.into_iter().zip(truths_um) {
-                    all.push(Draw {
-                        family,
-                        head,
-                        what: format!("{what}, {}", found.id.flank),
-                        truth_um,
-                        word: found.verdict,
-                        found: Some(found),
-                    });
-                }
-            }
-            let new = if family == Family::Neighbours { 1 } else { 2 };
-            for draw in all.iter().rev().take(new) {
-                tell(&draw.line());
             }
         }
-        Ok(all)
-    })?;
-    Ok(of_heads.into_iter().flatten().collect())
+        let new = if family == Family::Neighbours { 1 } else { 2 };
+        for draw in all.iter().rev().take(new) {
+            tell(&draw.line());
+        }
+    }
+    Ok(all)
 }
 
 /// Draws all families and writes `families.md` with the results of each.
@@ -251,10 +270,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         let only = args.only.as_ref();
         only.is_none_or(|text| family.name().contains(text))
     };
-    for family in Family::ALL.into_iter().filter(wanted) {
-        let all = draws(family, (args.blocks, args.captures), args.seed, |line| {
-            eprintln!("{line}");
-        })?;
+    let families: Vec<Family> = Family::ALL.into_iter().filter(wanted).collect();
+    let of_all = draws(&families, (args.blocks, args.captures), args.seed, |line| {
+        eprintln!("{line}")
+    })?;
+    for family in families {
+        let all: Vec<&Draw> = of_all.iter().filter(|d| d.family == family).collect();
         let count = |of: &[&Draw], word| of.iter().filter(|d| d.word == word).count();
         let row = |of: &[&Draw], wrong: usize| {
             let words = [Word::Go, Word::Warn, Word::NoGo, Word::Indeterminate];
@@ -267,13 +288,17 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
             )
         };
         if family.is_sound() {
-            let of: Vec<&Draw> = all.iter().filter(|d| d.truth_um < WARN_UM).collect();
+            let of: Vec<&Draw> = all
+                .iter()
+                .copied()
+                .filter(|d| d.truth_um < WARN_UM)
+                .collect();
             writeln!(sound, "{}", row(&of, of.len() - count(&of, Word::Go)))?;
         } else {
-            let of: Vec<&Draw> = all.iter().filter(|d| d.is_beyond()).collect();
+            let of: Vec<&Draw> = all.iter().copied().filter(|d| d.is_beyond()).collect();
             writeln!(text, "{}", row(&of, count(&of, Word::Go)))?;
         }
-        let claims: Vec<bool> = all.iter().filter_map(Draw::holds).collect();
+        let claims: Vec<bool> = all.iter().filter_map(|d| d.holds()).collect();
         let mut why: BTreeMap<&str, usize> = BTreeMap::new();
         for code in all.iter().filter_map(|d| d.found.as_ref()?.code) {
             *why.entry(code.word()).or_default() += 1;

@@ -32,17 +32,43 @@ pub(super) struct Stand {
     pub disc_area_mm2: f64,
 }
 
+/// Seed of all random numbers of a head.
+fn own_seed(number: u32, seed: u64) -> u64 {
+    (seed << 16) | u64::from(number)
+}
+
 impl Stand {
     /// Head number `number`; `built`: the tool states the form error of a die as built.
     pub fn new(setup: &Setup, number: u32, seed: u64, built: bool) -> anyhow::Result<Self> {
-        let own = (seed << 16) | u64::from(number);
-        let Calibrated { rig, head, .. } = Calibrated::first_of(&setup.made, own)?;
-        let head = setup.throwing(head);
+        Self::of(
+            setup,
+            &Self::calibrated(setup, number, seed)?,
+            number,
+            seed,
+            built,
+        )
+    }
+
+    /// Calibrates head number `number`, for [`Self::of`].
+    pub fn calibrated(setup: &Setup, number: u32, seed: u64) -> anyhow::Result<Calibrated> {
+        Calibrated::first_of(&setup.made, own_seed(number, seed))
+    }
+
+    /// As [`Self::new`], of a head that is calibrated.
+    pub fn of(
+        setup: &Setup,
+        Calibrated { rig, head, .. }: &Calibrated,
+        number: u32,
+        seed: u64,
+        built: bool,
+    ) -> anyhow::Result<Self> {
+        let own = own_seed(number, seed);
+        let head = setup.throwing(head.clone());
         let place = Place::of_block(number);
         let tool = setup.tool(place, built);
         let (judged, disc_area_mm2) = truth::judged(&tool)?;
         Ok(Self {
-            world: World::new(&setup.world(&rig, false, own))?,
+            world: World::new(&setup.world(rig, false, own))?,
             instrument: Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?,
             head,
             tool,

@@ -14,6 +14,7 @@
 //! Wear that is the same all over a patch looks like a patch that has moved, and its own points cannot tell which. So the pose
 //! of a view never rests on a patch that is judged, but on its **datum**: other patches, which the press does not touch.
 
+mod chord;
 mod clip;
 mod pick;
 
@@ -21,12 +22,12 @@ use nalgebra::Vector3;
 
 use crate::io::mesh::TriMesh;
 use crate::surface::Surface;
-pub use pick::{ON_CAD_MM, Pick};
+pub use pick::{ON_CAD_MM, Pick, SEED_ANGLE_DEG};
 
 /// A facet leans at most so far from the normal of its patch, rad.
 pub const MOST_LEAN_RAD: f64 = std::f64::consts::FRAC_PI_6;
 /// Between the rim of a patch and a zone that is not stated, mm: stages do not place a view along a plane to better than that.
-const RIM_MM: f64 = 0.25;
+pub const RIM_MM: f64 = 0.25;
 /// A zone lies on its patch when so little of it does not: chords of round outlines, slivers.
 const MOST_OFF_PATCH: f64 = 1e-4;
 /// Patches that share less than this touch, mm2.

@@ -12,6 +12,9 @@ use crate::surface::Surface;
 /// A seed lies so near to the CAD, mm: farther away it is a slip of the pen.
 pub const ON_CAD_MM: f64 = 0.1;
 
+/// Facets around a seed face as it does within this angle, unless a tool file says otherwise, degrees.
+pub const SEED_ANGLE_DEG: f64 = 10.0;
+
 /// Selection of a patch's facets.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pick {

@@ -3,10 +3,8 @@
 use std::path::Path;
 
 use super::{Inspect, ToolError};
-use crate::patch::{PatchSpec, Pick};
+use crate::patch::{PatchSpec, Pick, SEED_ANGLE_DEG};
 
-/// Facets around a seed face as it does within this angle, unless the file says otherwise, degrees.
-const SEED_ANGLE_DEG: f64 = 10.0;
 /// Facets that lean farther from a seed lean too far from the patch's normal, too.
 const MOST_SEED_ANGLE_DEG: f64 = 45.0;
 

@@ -298,11 +298,15 @@ fn seen(
         .filter_map(|row| row_weights(spec, size_px, bundle, row, shift_px))
         .collect();
     let mut spans = Vec::new();
+    // 12 million weights: growing the vectors would copy them several times.
+    let pixels: usize = rows.iter().map(|row| row.ends.len()).sum();
+    let weights: usize = rows.iter().map(|row| row.weights.len()).sum();
     let mut seen = Seen {
-        starts: vec![0],
-        cores: Vec::new(),
-        weights: Vec::new(),
+        starts: Vec::with_capacity(pixels + 1),
+        cores: Vec::with_capacity(weights),
+        weights: Vec::with_capacity(weights),
     };
+    seen.starts.push(0);
     for row in rows {
         spans.push(Span {
             row: row.row,
@@ -339,12 +343,16 @@ fn row_weights(
     let pitch = bundle.spec().pitch_px();
     let variance = spec.core_sigma_px * spec.core_sigma_px;
     let peak = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * variance);
+    // Cores within reach of a pixel, on a perfect lattice, and some more for its jitter.
+    let cell_px2 = 0.5 * 3f64.sqrt() * pitch * pitch;
+    let expected = 1.1 * std::f64::consts::PI * reach_px * reach_px / cell_px2;
+    let expected = (expected * columns.len() as f64) as usize;
     let mut found = RowWeights {
         row,
         columns: columns.clone(),
-        ends: Vec::new(),
-        cores: Vec::new(),
-        weights: Vec::new(),
+        ends: Vec::with_capacity(columns.len()),
+        cores: Vec::with_capacity(expected),
+        weights: Vec::with_capacity(expected),
     };
     for column in columns {
         let at = [column as f64 - shift_px, row as f64];
