@@ -57,6 +57,13 @@ function picture(side, colour) {
       context.fillText(name, x + 9, y - 6);
     }
   };
+  // Many clicks or moves between two pictures of the screen are drawn once.
+  let waiting = false;
+  const redraw = () => {
+    if (waiting) return;
+    waiting = true;
+    requestAnimationFrame(() => { waiting = false; draw(); });
+  };
   const under = (event) => {
     const own = canvas.getBoundingClientRect();
     const [atX, atY] = [event.clientX - own.left, event.clientY - own.top];
@@ -80,25 +87,25 @@ function picture(side, colour) {
     pressed = event;
     if (event.shiftKey) { const px = (2 * view.mm) / canvas.clientHeight; view.right -= dx * px; view.up += dy * px; }
     else { view.yaw -= dx * 0.008; view.pitch = Math.min(1.57, Math.max(-1.57, view.pitch + dy * 0.008)); }
-    draw();
+    redraw();
   });
   canvas.addEventListener("click", (event) => {
     if (moved) return;
     picked[side] = under(event);
     tell();
   });
-  const zoom = (factor) => { view.mm *= factor; draw(); };
+  const zoom = (factor) => { view.mm *= factor; redraw(); };
   canvas.addEventListener("wheel", (event) => { event.preventDefault(); zoom(Math.exp(Math.max(-200, Math.min(200, event.deltaY)) * 0.0015)); }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
     const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-    if (way) { view.yaw -= way[0] * 0.08; view.pitch = Math.min(1.57, Math.max(-1.57, view.pitch + way[1] * 0.08)); draw(); }
+    if (way) { view.yaw -= way[0] * 0.08; view.pitch = Math.min(1.57, Math.max(-1.57, view.pitch + way[1] * 0.08)); redraw(); }
     else if (event.key === "+" || event.key === "=") zoom(0.85);
     else if (event.key === "-") zoom(1.18);
     else return;
     event.preventDefault();
   });
-  new ResizeObserver(draw).observe(canvas);
-  return { draw, mm: (i) => [0, 1, 2].map((k) => xyz[3 * i + k]) };
+  new ResizeObserver(redraw).observe(canvas);
+  return { redraw, mm: (i) => [0, 1, 2].map((k) => xyz[3 * i + k]) };
 }
 
 const sides = { cloud: picture("cloud", [29, 92, 156]), cad: picture("cad", [93, 102, 111]) };
@@ -107,7 +114,7 @@ const names = Object.keys(sides);
 function tell() {
   for (const side of names) {
     by(`${side}-at`).textContent = picked[side] === null ? "no point picked" : shown(sides[side].mm(picked[side]));
-    sides[side].draw();
+    sides[side].redraw();
   }
   by("add").disabled = names.some((side) => picked[side] === null);
   by("drop").disabled = !pairs.length;
