@@ -228,9 +228,8 @@ impl Args {
             self.head_toml(
                 &self.cad_name()?,
                 unit.as_ref().map_or("mm", |unit| unit.get_name()),
-                &format!(
-                    "chord_error_um = {chord_error_um}   # facets lie within it of the judged faces"
-                )
+                chord_error_um,
+                "the judged faces",
             ),
             faces.toml()
         );
@@ -273,14 +272,14 @@ impl Args {
     }
 
     /// The lines of a tool file before gear or patches.
-    fn head_toml(&self, cad: &str, unit: &str, chord_error: &str) -> String {
+    fn head_toml(&self, cad: &str, unit: &str, chord_error_um: f64, surface: &str) -> String {
         let quoted = |text: &str| toml::Value::from(text).to_string();
         let stem = self.cad.file_stem().and_then(|stem| stem.to_str());
         let name = self.name.as_deref().or(stem).unwrap_or("die");
         format!(
             "# Made by `flankscope init`; docs/formats/tool.md has every key.\n\
              name = {}\n# serial = \"...\"   # of this die, so that its history stays with it\n\n\
-             [cad]\nfile = {}\nunit = {}\n{chord_error}\n",
+             [cad]\nfile = {}\nunit = {}\nchord_error_um = {chord_error_um}   # facets lie within it of {surface}\n",
             quoted(name),
             quoted(cad),
             quoted(unit),
@@ -330,13 +329,7 @@ impl Args {
              # from +z ({RING}).\n[gear]\n{}\n\
              [inspect]\nteeth = [{}]\nheight_mm = {:?}   # where the head looks\nwarn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n\
              # as_built_um = 5.0   # standard uncertainty of the flanks' form as built; without it the CAD is taken as true\n",
-            self.head_toml(
-                &cad,
-                "mm",
-                &format!(
-                    "chord_error_um = {chord_error_um}   # facets lie within it of the involute"
-                )
-            ),
+            self.head_toml(&cad, "mm", chord_error_um, "the involute",),
             toml::to_string(&gear)?,
             teeth.join(", "),
             0.5 * (low + high),

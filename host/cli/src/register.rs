@@ -16,7 +16,7 @@ use flankscope_metrology::registration::{
 };
 use flankscope_metrology::surface::{Surface, sampling};
 use flankscope_metrology::verdict::Code;
-use flankscope_report::{PickSides, pick_html};
+use flankscope_report::{MOST_PICK_POINTS, PickSides, pick_html};
 use serde::Serialize;
 
 use crate::article_settings::ArticleSettingsFile;
@@ -30,8 +30,6 @@ const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
 /// Seed of the article's reference points, and of those on the page for picking.
 const SEED: u64 = 0;
-/// Points on the CAD of that page.
-const PICK_SAMPLES: usize = 30_000;
 
 /// Register a cloud to a CAD mesh or to another cloud.
 #[derive(clap::Args)]
@@ -215,7 +213,7 @@ impl Args {
         let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
             (Some(cad), _) => {
                 let Cad { mesh, .. } = cad.load(&self.common)?;
-                let sampled = sampling::sample(&mesh, PICK_SAMPLES, SEED);
+                let sampled = sampling::sample(&mesh, MOST_PICK_POINTS, SEED);
                 (&cad.path, sampled.with_context(|| cad.trouble())?)
             }
             (None, Some(reference)) => {

@@ -28,6 +28,14 @@ PLAN = "exposures_us = [10000]\n[[set]]\nperiods = 1\nsteps = 4\n[[set]]\nperiod
 AMPLITUDE_DN = 1200.0
 
 
+def write_plan_and_head(folder):
+    """The plan, and the head with its sensor, as files."""
+    plan, head = folder / "PLAN.toml", folder / "head.toml"
+    plan.write_text(PLAN)
+    head.write_text(HEAD + SENSOR)
+    return plan, head
+
+
 def plane():
     """Depth and projector column of every pixel of a slanted plane: z - 0.2 x - 0.1 y = 100 mm."""
     v, u = np.mgrid[0:120, 0:160]
@@ -63,9 +71,8 @@ class Decode(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
         (self.folder / "bare.toml").write_text(HEAD)
-        (self.folder / "head.toml").write_text(HEAD + SENSOR)
-        (self.folder / "PLAN.toml").write_text(PLAN)
-        self.plan, self.head = fs.Plan(self.folder / "PLAN.toml"), fs.Head(self.folder / "head.toml")
+        plan, head = write_plan_and_head(self.folder)
+        self.plan, self.head = fs.Plan(plan), fs.Head(head)
 
     def test_a_plane_comes_back_as_its_closed_form(self):
         decoder = fs.Decoder(self.plan, self.head, smooth_px=0.0, smooth_coarse_px=0.0)

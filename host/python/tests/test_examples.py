@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 from shapes import corner, pose
-from test_decode import HEAD, PLAN, SENSOR, frames_of, plane
+from test_decode import frames_of, plane, write_plan_and_head
 
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
 
@@ -40,9 +40,7 @@ class Examples(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
-        (self.folder / "head.toml").write_text(HEAD + SENSOR)
-        (self.folder / "PLAN.toml").write_text(PLAN)
-        self.files = (self.folder / "PLAN.toml", self.folder / "head.toml")
+        self.files = write_plan_and_head(self.folder)
 
     def test_decode_makes_the_points_that_the_package_makes(self):
         depth, _ = plane()

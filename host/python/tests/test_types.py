@@ -11,7 +11,7 @@ import unittest
 import flankscope as fs
 import numpy as np
 from shapes import block, write_tool
-from test_decode import HEAD, PLAN, SENSOR, frames
+from test_decode import frames, write_plan_and_head
 
 STUB = pathlib.Path(__file__).parents[1] / "flankscope.pyi"
 
@@ -44,8 +44,7 @@ class Types(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
-        (self.folder / "head.toml").write_text(HEAD + SENSOR)
-        (self.folder / "PLAN.toml").write_text(PLAN)
+        write_plan_and_head(self.folder)
         self.promised: dict[str, typing.Any] = {}
         stub = compile(STUB.read_text(), str(STUB), "exec", flags=__future__.annotations.compiler_flag)
         exec(stub, self.promised)

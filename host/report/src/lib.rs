@@ -29,7 +29,7 @@ pub use check::html;
 pub use comparison::comparison_html;
 pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};
-pub use pick::{PickSides, pick_html};
+pub use pick::{MOST_PICK_POINTS, PickSides, pick_html};
 pub use ring::numbered_ring;
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};

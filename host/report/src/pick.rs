@@ -5,7 +5,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
 /// Most points shown of either side, evenly spread over the file: a page stays below 1.1 MB.
-const MOST_POINTS: usize = 30_000;
+pub const MOST_PICK_POINTS: usize = 30_000;
 
 /// What the page shows beside each other.
 pub struct PickSides<'a> {
@@ -28,11 +28,18 @@ struct Page<'a> {
     shares: [[usize; 2]; 2],
 }
 
+/// The points that are shown.
+fn shown(points_mm: &[[f64; 3]]) -> impl ExactSizeIterator<Item = &[f64; 3]> {
+    let every = points_mm.len().div_ceil(MOST_PICK_POINTS).max(1);
+    points_mm.iter().step_by(every)
+}
+
 /// Points as base64 of f32, little-endian: x, y, z of one after another; 4 nm are told apart within 50 mm of the origin.
 fn base64_of(points_mm: &[[f64; 3]]) -> String {
-    let every = points_mm.len().div_ceil(MOST_POINTS).max(1);
-    let shown = points_mm.iter().step_by(every).flatten();
-    let bytes: Vec<u8> = shown.flat_map(|&mm| (mm as f32).to_le_bytes()).collect();
+    let coordinates = shown(points_mm).flatten();
+    let bytes: Vec<u8> = coordinates
+        .flat_map(|&mm| (mm as f32).to_le_bytes())
+        .collect();
     STANDARD.encode(bytes)
 }
 
@@ -41,10 +48,7 @@ fn base64_of(points_mm: &[[f64; 3]]) -> String {
 /// # Errors
 /// Errors of the template; none occur.
 pub fn pick_html(of: &PickSides<'_>) -> Result<String, askama::Error> {
-    let share = |points_mm: &[[f64; 3]]| {
-        let every = points_mm.len().div_ceil(MOST_POINTS).max(1);
-        [points_mm.len().div_ceil(every), points_mm.len()]
-    };
+    let share = |points_mm: &[[f64; 3]]| [shown(points_mm).len(), points_mm.len()];
     let page = Page {
         of,
         cloud: base64_of(of.cloud_mm),

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::calibration::{Calibrated, Rig};
 use super::capture::{Instrument, Trouble, judged};
 use super::cases::{Case, Damaged, Group, Right};
-use super::setup::{Place, Setup, flank};
+use super::setup::{Place, Setup, flank, own_seed};
 use super::truth;
 use flankscope_bench::damage::{Damage, Workpiece};
 use flankscope_bench::world::{FlankId, Wear, World};
@@ -59,7 +59,7 @@ pub(super) struct Block<'a> {
 
 impl<'a> Block<'a> {
     pub fn new(setup: &'a Setup, number: u32, seed: u64) -> anyhow::Result<Self> {
-        let own = (seed << 16) | u64::from(number);
+        let own = own_seed(number, seed);
         let Calibrated { rig, head, refused } = Calibrated::first_of(&setup.made, own)?;
         Ok(Self {
             setup,

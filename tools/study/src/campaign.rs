@@ -6,7 +6,7 @@ use flankscope_record::document::Feature;
 
 use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble, judged};
-use super::setup::{Place, Setup, flank, on_all_cores};
+use super::setup::{Place, Setup, flank, on_all_cores, own_seed};
 use super::truth;
 use flankscope_bench::damage::{Damage, Random, Workpiece};
 use flankscope_bench::world::{FlankId, World};
@@ -48,7 +48,7 @@ pub fn random_damages(
 }
 
 fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<Vec<Judgement>> {
-    let own = (seed << 16) | u64::from(number);
+    let own = own_seed(number, seed);
     let Calibrated { rig, head, .. } = Calibrated::first_of(&setup.made, own)?;
     let place = Place::of_block(number);
     let tool = setup.tool(place, false);

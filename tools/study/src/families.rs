@@ -162,6 +162,7 @@ pub fn draws(
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Vec<Draw>> {
     let setup = Setup::load(None)?;
+    let cad = setup.cad();
     let of_heads = on_all_cores(heads, |head| {
         let calibrated = Stand::calibrated(&setup, head, seed)?;
         let of_families = families.iter().map(|&family| {
@@ -170,7 +171,7 @@ pub fn draws(
             if since {
                 stand = stand.with_baseline()?;
             }
-            before(stand, family, (head, views), since, &setup.cad(), &tell)
+            before(stand, family, (head, views), since, &cad, &tell)
         });
         of_families.collect::<anyhow::Result<Vec<Vec<Draw>>>>()
     })?;

@@ -138,6 +138,11 @@ pub(super) fn flank(of_cad: CadFlank) -> Flank {
     }
 }
 
+/// Seed of all random numbers of a head.
+pub(super) fn own_seed(number: u32, seed: u64) -> u64 {
+    (seed << 16) | u64::from(number)
+}
+
 /// Calls `each` for all numbers below `count` on all cores, each call on one core; results in order.
 pub(super) fn on_all_cores<T: Send>(
     count: u32,

@@ -15,7 +15,7 @@ use flankscope_tests::die::bore;
 
 use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble};
-use super::setup::{Place, Setup};
+use super::setup::{Place, Setup, own_seed};
 use super::truth;
 
 /// A head, calibrated on the bench, at one place.
@@ -30,11 +30,6 @@ pub(super) struct Stand {
     /// Judged rectangle of a flank, and the disc's area, mm².
     pub judged: Rectangle,
     pub disc_area_mm2: f64,
-}
-
-/// Seed of all random numbers of a head.
-fn own_seed(number: u32, seed: u64) -> u64 {
-    (seed << 16) | u64::from(number)
 }
 
 impl Stand {

@@ -106,7 +106,7 @@ impl Bundle {
 
         let positions: Vec<[f64; 2]> = drawn.iter().map(|d| d.0).collect();
         let (grid, order) = Grid::sorted(&positions, spec, pitch);
-        // A table over all axial coordinates and their neighbours; hashing took a tenth of a short check.
+        // A table over all axial coordinates and their neighbours: each core asks for six of them.
         let side = lattice.iter().flatten().map(|i| i.abs()).max().unwrap_or(0) + 1;
         let width = 2 * side as usize + 1;
         let cell = |[i, j]: [i32; 2]| (i + side) as usize * width + (j + side) as usize;

@@ -342,9 +342,9 @@ fn row_weights(
     // A core's light is spread over a cell of the lattice: rates are per mean pixel.
     let pitch = bundle.spec().pitch_px();
     let variance = spec.core_sigma_px * spec.core_sigma_px;
-    let peak = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * variance);
-    // Cores within reach of a pixel, on a perfect lattice, and some more for its jitter.
     let cell_px2 = 0.5 * 3f64.sqrt() * pitch * pitch;
+    let peak = cell_px2 / (std::f64::consts::TAU * variance);
+    // Cores within reach of a pixel, on a perfect lattice, and some more for its jitter.
     let expected = 1.1 * std::f64::consts::PI * reach_px * reach_px / cell_px2;
     let expected = (expected * columns.len() as f64) as usize;
     let mut found = RowWeights {
