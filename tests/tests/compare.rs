@@ -59,6 +59,27 @@ fn what_was_lost_between_two_checks_is_told_with_its_uncertainty() {
         let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| since[key].as_f64().unwrap());
         assert!(wear_um.abs() <= u95_um, "{since}");
     }
+    // A head file that is not the one of these checks.
+    let other = path("other");
+    let made = run(flankscope().args(["bench", "demo-tool", "--out", &other]));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let head = folder.path().join("other/head.toml");
+    let text = std::fs::read_to_string(&head).unwrap();
+    std::fs::write(&head, text + "# edited since\n").unwrap();
+    let refused = compare(["1", "2"], &["--tool", &other]);
+    assert_eq!(refused.code, 3);
+    let why = &refused.stderr;
+    assert!(
+        why.contains("another head file") && why.contains("--head"),
+        "{why}"
+    );
+    let mut replay = flankscope();
+    replay.args(["replay", &history, "1", "--tool", &other]);
+    let replayed = replay.output().unwrap();
+    assert_eq!(replayed.status.code(), Some(2));
+    let printed = String::from_utf8_lossy(&replayed.stdout);
+    let says = "other files than those given (head)";
+    assert!(printed.contains(says), "{printed}");
     let missing = compare(["1", "9"], &[]);
     assert_eq!(missing.code, 3);
     assert!(missing.stderr.contains('9'), "{}", missing.stderr);

@@ -219,6 +219,11 @@ fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     assert_eq!(run(check.arg(folder.path())).code, 1);
     let page = folder.path().join("report.html");
     assert!(stands_alone(&page) < 250_000, "kept small");
+    let text = std::fs::read_to_string(&page).unwrap();
+    for view in ["tooth 12", "tooth 40", "tooth 68"] {
+        let frame = format!("alt=\"camera frame of {view}\"");
+        assert_eq!(text.matches(&frame).count(), 1, "{frame}");
+    }
     browser.fits(&page, 2);
     browser.fits(&folder.path().join("index.html"), 1);
     let table = std::fs::read_to_string(folder.path().join("cells.csv")).unwrap();

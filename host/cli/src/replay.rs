@@ -176,5 +176,17 @@ fn print(replay: &Replay) -> anyhow::Result<()> {
         0 => writeln!(out, "every figure is the same to the last bit")?,
         count => writeln!(out, "{count} differences")?,
     }
+    let other_files = replay.differences.iter();
+    let other_files: Vec<&str> = other_files
+        .filter_map(|of| of.what.strip_prefix("hashes."))
+        .filter(|what| *what != "recipe")
+        .collect();
+    if !other_files.is_empty() {
+        writeln!(
+            out,
+            "the check was made with other files than those given ({}): name its own by --tool, --head and --station",
+            other_files.join(", ")
+        )?;
+    }
     Ok(())
 }

@@ -12,7 +12,7 @@ use flankscope_record::document::{FlankInView, FlankMap, Inspection};
 /// Pixels per millimetre of a map on the page.
 pub(super) const PX_PER_MM: f64 = 30.0;
 /// Largest width of the raw frame on the page, px: it is for viewing, not for measurement.
-const FRAME_WIDTH: usize = 480;
+pub(super) const FRAME_WIDTH: usize = 480;
 
 #[derive(Template)]
 #[template(path = "report.html")]
@@ -30,7 +30,8 @@ struct Page<'a> {
     colour_bar: String,
     histogram: String,
     timeline: String,
-    frame: Option<String>,
+    /// Name of each view and its frame.
+    frames: Vec<(&'a str, String)>,
     max_abs_um: f64,
 }
 
@@ -78,7 +79,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
             inspection.verdict,
             inspection.timing_ms.last_exposure_to_verdict,
         ),
-        frame: pictures.frame.as_ref().map(thumbnail),
+        frames: thumbnails(&pictures.frames),
         max_abs_um: full_um,
     };
     page.render()
@@ -145,9 +146,18 @@ fn counts(flank: &FlankInView) -> bool {
     matches!(flank.verdict, Word::NoGo | Word::Warn)
 }
 
-/// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise compresses well.
-pub(super) fn thumbnail(frame: &Picture) -> String {
-    let block = frame.width.div_ceil(FRAME_WIDTH).max(1);
+/// The frames of all views, the smaller the more there are, so that together they take the room of one.
+fn thumbnails(frames: &[(String, Picture)]) -> Vec<(&str, String)> {
+    let columns = (FRAME_WIDTH as f64 / (frames.len() as f64).sqrt()) as usize;
+    frames
+        .iter()
+        .map(|(name, frame)| (name.as_str(), thumbnail(frame, columns)))
+        .collect()
+}
+
+/// A frame as a small picture of at most this many columns: means of blocks of pixels, in 32 shades, so that noise compresses well.
+pub(super) fn thumbnail(frame: &Picture, most_columns: usize) -> String {
+    let block = frame.width.div_ceil(most_columns.max(1)).max(1);
     let (width, height) = (frame.width / block, frame.height / block);
     let grey: Vec<u8> = (0..width * height)
         .map(|place| {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use askama::Template;
 
-use super::check::thumbnail;
+use super::check::{FRAME_WIDTH, thumbnail};
 use super::svg::{about, open};
 use super::{Fact, facts};
 use flankscope_profilometry::Picture;
@@ -68,7 +68,7 @@ pub fn setup_html(
             last.exposures.iter().map(of).collect()
         }),
         captures: captures(view),
-        picture: picture.map(thumbnail),
+        picture: picture.map(|picture| thumbnail(picture, FRAME_WIDTH)),
     };
     page.render()
 }

@@ -115,7 +115,7 @@ impl<O: Send + 'static> Acquisition<O> {
         loop {
             match self.recorded.recv().await {
                 Some(Recorded::Armed(armed)) => return Ok(armed),
-                Some(Recorded::Picture(picture)) => run.picture = Some(picture),
+                Some(Recorded::Picture(view, picture)) => run.pictured(view, picture),
                 Some(Recorded::View(_) | Recorded::Closed) => {}
                 None => return Err(gone),
             }
@@ -152,7 +152,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     Recorded::View(view) => run.session.waiting.push(*view),
                     Recorded::Closed => closed = true,
                     Recorded::Armed(_) => {}
-                    Recorded::Picture(picture) => run.picture = Some(picture),
+                    Recorded::Picture(view, picture) => run.pictured(view, picture),
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(AcquisitionError::Thread { thread: "compute" })?;

@@ -77,11 +77,14 @@ pub enum Recorded {
     Armed(Result<(), CameraError>),
     /// Answer to [`Order::Close`]: no view is open any more.
     Closed,
-    /// One frame, reduced to a picture for the report.
-    Picture(Picture),
+    /// One frame of a view (its number in the session), reduced to a picture for the report.
+    Picture(u16, Picture),
 }
 
-/// Which frame to keep as the report's picture.
+/// Views of a session of which a picture is made: as many as a report shows beside each other. A scan has hundreds.
+const MOST_PICTURES: u16 = 12;
+
+/// Which frame of a view to keep as the report's picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Keepsake {
     /// Exposure step.
@@ -90,12 +93,12 @@ pub struct Keepsake {
     pub pattern: u16,
 }
 
-/// Settings for checking frames and for the picture that is kept.
+/// Settings for checking frames and for the pictures that are kept.
 #[derive(Clone, Copy, Debug)]
 pub struct RecorderSettings {
     /// Pixels above this level count as lit, DN.
     pub lit_dn: f64,
-    /// The frame that the report shows.
+    /// The frame of each view that the report shows.
     pub keepsake: Keepsake,
     /// Full scale of the sensor, DN.
     pub full_scale_dn: u16,
@@ -216,7 +219,6 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 Ok(Order::Close) => {
                     self.drain();
                     self.close();
-                    self.show();
                     let _ = self.events.send(Recorded::Closed);
                 }
                 Ok(Order::Recycle(mut sums)) => {
@@ -346,7 +348,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         }
         if (header.label.exposure, header.label.pattern)
             == (settings.keepsake.exposure, settings.keepsake.pattern)
-            && self.kept.is_none()
+            && header.label.view < MOST_PICTURES
         {
             self.kept = Some(frame);
         }
@@ -388,7 +390,10 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 planned: self.planned.len(),
             });
         }
+        let number = view.view;
         let _ = self.events.send(Recorded::View(Box::new(view)));
+        // The view is evaluated meanwhile.
+        self.show(number);
     }
 
     fn fail(&mut self, error: ViewError) {
@@ -398,14 +403,13 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         }
     }
 
-    /// Makes an 8-bit grey picture of the lit part of the kept frame, read in shared memory, and releases the frame.
-    fn show(&mut self) {
+    /// Makes an 8-bit grey picture of the lit part of a view's kept frame, read in shared memory, and releases the frame.
+    fn show(&mut self, view: u16) {
         let Some(frame) = self.kept.take() else {
             return;
         };
-        let _ = self
-            .events
-            .send(Recorded::Picture(picture(view_of(&frame), self.settings)));
+        let shown = picture(view_of(&frame), self.settings);
+        let _ = self.events.send(Recorded::Picture(view, shown));
     }
 }
 

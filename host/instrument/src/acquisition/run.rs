@@ -27,8 +27,8 @@ pub struct Run<O> {
     pub counts: Counts,
     /// Activity of the devices over time.
     pub timeline: Timeline,
-    /// One raw frame for the report.
-    pub picture: Option<Picture>,
+    /// A raw frame of each view for the report, by view index.
+    pub pictures: BTreeMap<usize, Picture>,
     /// Pixel levels of each view whose frames and triggers pair, by view index, if they are counted.
     pub levels: BTreeMap<usize, ViewLevels>,
     /// Longest time that the head may be in the die.
@@ -104,7 +104,7 @@ impl<O> Run<O> {
             problems: BTreeMap::new(),
             counts: Counts::default(),
             timeline: Timeline::default(),
-            picture: None,
+            pictures: BTreeMap::new(),
             levels: BTreeMap::new(),
             hold_limit,
         }
@@ -159,6 +159,13 @@ impl<O> Run<O> {
         self.counts.last_outcome_ns = monotonic_ns();
         if !self.session.spoiled.contains(&view) {
             self.outcomes.insert(view, outcome);
+        }
+    }
+
+    /// Keeps the picture of a view of the session.
+    pub(super) fn pictured(&mut self, view: u16, picture: Picture) {
+        if let Some(&view) = self.session.views.get(usize::from(view)) {
+            self.pictures.insert(view, picture);
         }
     }
 

@@ -290,6 +290,11 @@ impl Job<ViewOutcome> {
         if let Some([major, minor, patch]) = firmware {
             versions.insert("firmware", format!("{major}.{minor}.{patch}"));
         }
+        let names = self.view_names();
+        let frames = std::mem::take(&mut run.pictures).into_iter();
+        let frames = frames
+            .filter_map(|(view, picture)| Some((names.get(view)?.clone(), picture)))
+            .collect();
         let recipe = recipe(&self.subject, &self.plan);
         let mut hashes = self.subject.hashes.clone();
         hashes.insert("recipe", recipe.hash());
@@ -327,7 +332,7 @@ impl Job<ViewOutcome> {
                 deviations_um: found.deviations_um,
                 activities: run.timeline.activities(),
                 moves: self.subject.station.stages.moves,
-                frame: run.picture,
+                frames,
                 toothing: Toothing::of(&self.subject.tool),
             },
         }

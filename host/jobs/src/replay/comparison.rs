@@ -16,7 +16,7 @@ const SAME_FILES: [&str; 3] = ["tool", "cad", "head"];
 /// What changed from check `before` to check `after` of a history, for the tool and head of `subject`.
 ///
 /// # Errors
-/// Data of a check are missing or damaged, or the two were made with other files.
+/// Data of a check are missing or damaged, or the two were made with other files than each other's or `subject`'s.
 pub fn compare_checks(
     history: &History,
     [before, after]: [i64; 2],
@@ -25,13 +25,22 @@ pub fn compare_checks(
     let (first, _) = Stored::read(history, before)?;
     let (second, _) = Stored::read(history, after)?;
     for what in SAME_FILES {
-        let [then, now] = [&first, &second].map(|stored| stored.hashes.get(what).cloned());
+        let hash = |hash: Option<&String>| hash.map_or_else(|| "none".into(), String::clone);
+        let [then, now] = [&first, &second].map(|stored| hash(stored.hashes.get(what)));
         if then != now {
-            let name = |hash: Option<String>| hash.unwrap_or_else(|| "none".into());
             return Err(ReplayError::OtherFiles {
                 checks: [before, after],
                 what,
-                hashes: [name(then), name(now)],
+                hashes: [then, now],
+            });
+        }
+        let given = hash(subject.hashes.get(what));
+        if then != given {
+            return Err(ReplayError::NotItsFile {
+                id: before,
+                what,
+                stored: then,
+                given,
             });
         }
     }

@@ -43,6 +43,21 @@ pub enum ReplayError {
         /// Its hash in either check.
         hashes: [String; 2],
     },
+    /// A file at hand is not the one that the check was made with.
+    #[error(
+        "check {id} was made with another {what} file (BLAKE3 {stored}) than the one given ({given}): name that check's files by --tool and \
+         --head"
+    )]
+    NotItsFile {
+        /// Number of the check.
+        id: i64,
+        /// Which file.
+        what: &'static str,
+        /// Hash of the check's file.
+        stored: String,
+        /// Hash of the given file.
+        given: String,
+    },
     /// The baseline is not the stored one.
     #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
     Baseline {

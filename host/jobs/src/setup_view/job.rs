@@ -135,7 +135,7 @@ impl LiveView {
                         });
                     }
                 }
-                show(&self.view, run.picture.as_ref())?;
+                show(&self.view, run.pictures.get(&0))?;
                 if stopped.is_some() {
                     break;
                 }

@@ -382,8 +382,8 @@ pub struct Pictures {
     pub activities: Vec<Activity>,
     /// What the rotary stage turned: die or head.
     pub moves: Moves,
-    /// One raw frame, reduced.
-    pub frame: Option<Picture>,
+    /// A raw frame of each view, and the view's name.
+    pub frames: Vec<(String, Picture)>,
     /// Teeth around the flanks; absent if the tool has no teeth.
     pub toothing: Option<Toothing>,
 }

@@ -82,7 +82,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     Recorded::View(view) => run.session.waiting.push(*view),
                     Recorded::Closed => closed = true,
                     Recorded::Armed(_) => {}
-                    Recorded::Picture(picture) => run.picture = Some(picture),
+                    Recorded::Picture(view, picture) => run.pictured(view, picture),
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(AcquisitionError::Thread { thread: "compute" })?;
