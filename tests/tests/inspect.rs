@@ -166,8 +166,8 @@ fn the_report_is_one_file_with_its_pictures_inside() {
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert_eq!(
         page.matches("data:image/png;base64,").count(),
-        7,
-        "six flank maps and one raw frame"
+        9,
+        "six flank maps and a frame of each of three views"
     );
     assert_eq!(
         page.matches("<svg").count(),

@@ -23,6 +23,7 @@ const INSTRUMENT: &str = "host/instrument";
 const RECORD: &str = "host/record";
 const JOBS: &str = "host/jobs";
 const REPORT: &str = "host/report";
+const PLANT: &str = "host/plant";
 const CLI: &str = "host/cli";
 const PYTHON: &str = "host/python";
 const BENCH: &str = "tools/bench";
@@ -47,6 +48,7 @@ const EVERYTHING: &[&str] = &[
     RECORD,
     JOBS,
     REPORT,
+    PLANT,
     CLI,
     BENCH,
     DEMO,
@@ -96,6 +98,8 @@ const ROOMS: &[Room] = &[
         REPORT,
         &[FOUNDATION, PROFILOMETRY, METROLOGY, ARTICLE, RECORD],
     ),
+    // What is stored, and the pages of it that the instrument draws, too: no instrument.
+    (PLANT, &[FOUNDATION, METROLOGY, RECORD, REPORT]),
     // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (
         CLI,

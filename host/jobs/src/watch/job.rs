@@ -126,6 +126,8 @@ struct Watch<'a, T> {
     /// Called with every event; returns false to stop.
     tell: T,
     latch: Latch,
+    /// Acknowledgements in the history before the check whose verdict came last; absent if that is not stored.
+    acknowledgements: Option<i64>,
     /// Prevents other watches of this die.
     _hold: Option<Hold>,
     /// Press cycles by the controller's counter: when it began, now, and at the last check.
@@ -151,12 +153,17 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             None => (None, Latch::default()),
         };
         let cycle = client.status().await?.press.cycles;
+        let acknowledgements = match &writer {
+            Some(writer) => Some(writer.acknowledgement_count(&die)?),
+            None => None,
+        };
         Ok(Self {
             job,
             settings,
             writer,
             tell,
             latch,
+            acknowledgements,
             _hold: hold,
             first: cycle,
             cycle,
@@ -188,6 +195,9 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         }
         if Instant::now() >= self.next_refresh {
             self.show().await?;
+            if self.is_acknowledged_elsewhere() && self.start_afresh().is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
         }
         let patience = self
             .next_refresh
@@ -230,16 +240,35 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             Some(writer) => writer.acknowledge(&self.job.die(), name),
             None => Ok(()),
         };
-        let told = match noted {
-            Ok(()) => {
-                self.latch.acknowledge();
-                // Checks again at the next opening.
-                self.checked_at = self.cycle.wrapping_sub(self.settings.every);
-                WatchEvent::Acknowledged
-            }
-            Err(error) => WatchEvent::NotAcknowledged(error),
+        match noted {
+            Ok(()) => self.start_afresh(),
+            Err(error) => self.tell(WatchEvent::NotAcknowledged(error)),
+        }
+    }
+
+    /// Whether another process stored an acknowledgement of the no-go that is shown, for example the plant's page. A history that
+    /// cannot be read acknowledges nothing, and a no-go that could not be stored is acknowledged at this watch alone.
+    fn is_acknowledged_elsewhere(&self) -> bool {
+        let (Shown::NoGo, Some(writer), Some(before)) =
+            (self.latch.shown(), &self.writer, self.acknowledgements)
+        else {
+            return false;
         };
-        self.tell(told)
+        let die = self.job.die();
+        let is_new = writer
+            .acknowledgement_count(&die)
+            .is_ok_and(|now| now > before);
+        is_new
+            && writer
+                .latch(&die)
+                .is_ok_and(|latch| latch.shown() != Shown::NoGo)
+    }
+
+    /// Clears what is latched, and checks again at the next opening.
+    fn start_afresh(&mut self) -> ControlFlow<()> {
+        self.latch.acknowledge();
+        self.checked_at = self.cycle.wrapping_sub(self.settings.every);
+        self.tell(WatchEvent::Acknowledged)
     }
 
     /// Sends the present verdict to the press.
@@ -252,9 +281,15 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
 
     /// Runs a check, stores, latches and shows its result.
     async fn check(&mut self) -> Result<ControlFlow<()>, WatchError> {
-        if self.tell(WatchEvent::Checking(self.cycle)).is_break() {
+        let acknowledged = self.is_acknowledged_elsewhere() && self.start_afresh().is_break();
+        if acknowledged || self.tell(WatchEvent::Checking(self.cycle)).is_break() {
             return Ok(ControlFlow::Break(()));
         }
+        // Before the check: an acknowledgement of an earlier no-go may come while it runs.
+        let acknowledgements = match &self.writer {
+            Some(writer) => writer.acknowledgement_count(&self.job.die()).ok(),
+            None => None,
+        };
         let hold_limit = Some(self.settings.hold_limit);
         let source = Source::Live(&mut self.client);
         let check = self
@@ -271,6 +306,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         self.cycle = self.cycle.max(inspection.press_cycles);
         self.checked_at = inspection.press_cycles;
         let shown = self.latch.take(inspection.verdict);
+        self.acknowledgements = acknowledgements.filter(|_| inspection.id.is_some());
         self.show().await?;
         let checked = Checked {
             cycle: self.checked_at,

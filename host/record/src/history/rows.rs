@@ -85,6 +85,49 @@ impl History {
         )
     }
 
+    /// Number of commits by other processes, as far as it tells one moment from another: equal numbers of one connection mean that
+    /// nothing was written between them.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn commits(&self) -> Result<i64, HistoryError> {
+        self.connection
+            .pragma_query_value(None, "data_version", |row| row.get(0))
+            .map_err(self.because("read its version"))
+    }
+
+    /// Number of a tool's checks with each verdict.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn verdict_counts(&self, tool: &str) -> Result<Vec<(Word, u64)>, HistoryError> {
+        self.rows(
+            "SELECT verdict, count(*) FROM inspection WHERE tool = ?1 GROUP BY verdict",
+            [tool],
+            |row| Ok((parsed(row, 0)?, row.get::<_, i64>(1)?.unsigned_abs())),
+        )
+    }
+
+    /// The newest checks, at most `most`, newest first: of a tool, with a verdict, and before a check, if these are given.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn listed(
+        &self,
+        tool: Option<&str>,
+        verdict: Option<Word>,
+        before: Option<i64>,
+        most: u32,
+    ) -> Result<Vec<Check>, HistoryError> {
+        let ids: Vec<i64> = self.rows(
+            "SELECT id FROM inspection WHERE (?1 IS NULL OR tool = ?1) AND (?2 IS NULL OR verdict = ?2) \
+             AND (?3 IS NULL OR id < ?3) ORDER BY id DESC LIMIT ?4",
+            params![tool, verdict.map(Word::as_str), before, most],
+            |row| row.get(0),
+        )?;
+        ids.into_iter().map(|id| self.check(id)).collect()
+    }
+
     /// Every check of a tool, in order.
     ///
     /// # Errors
@@ -249,6 +292,22 @@ impl History {
         )
     }
 
+    /// Number of acknowledgements of a die.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn acknowledgement_count(&self, die: &DieKey) -> Result<i64, HistoryError> {
+        let sql = format!(
+            "SELECT count(*) FROM acknowledgement WHERE {}",
+            same_as_asked("acknowledgement")
+        );
+        self.connection
+            .query_row(&sql, params![die.tool, die.geometry, die.serial], |row| {
+                row.get(0)
+            })
+            .map_err(self.because("read its acknowledgements"))
+    }
+
     /// The unacknowledged verdicts of a die, in order.
     ///
     /// # Errors
@@ -266,7 +325,10 @@ impl History {
     }
 
     /// Unacknowledged no-gos, the newest of each die.
-    pub(super) fn standing_no_gos(&self) -> Result<Vec<StandingNoGo>, HistoryError> {
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn standing_no_gos(&self) -> Result<Vec<StandingNoGo>, HistoryError> {
         self.rows(
             &format!(
                 "SELECT tool, geometry, serial, max(id), at FROM inspection WHERE verdict = 'no-go' AND NOT {} \

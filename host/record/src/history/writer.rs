@@ -107,6 +107,14 @@ impl HistoryWriter {
         Ok(Latch::resumed(&self.history.open_verdicts(die)?))
     }
 
+    /// Number of acknowledgements of a die, by this process or another one.
+    ///
+    /// # Errors
+    /// The history cannot be read.
+    pub fn acknowledgement_count(&self, die: &DieKey) -> Result<i64, HistoryError> {
+        self.history.acknowledgement_count(die)
+    }
+
     /// Locks a die for a watch, after verifying the history's chain. `None` if the station keeps no folder in which another watch
     /// could see the lock.
     ///

@@ -1,0 +1,61 @@
+//! The history's file, kept open between looks: opening verifies every entry.
+
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use flankscope_record::history::{History, HistoryError};
+use flankscope_record::seal::Seals;
+
+/// A history, opened when it is needed, and again when another file stands in its place.
+#[derive(Debug)]
+pub struct HistoryFile {
+    path: PathBuf,
+    seals: Seals,
+    open: Option<Opened>,
+}
+
+#[derive(Debug)]
+struct Opened {
+    history: History,
+    /// Device and inode.
+    file: Option<[u64; 2]>,
+}
+
+impl HistoryFile {
+    /// Opens nothing yet.
+    pub fn new(path: &Path, seals: Seals) -> Self {
+        Self {
+            path: path.into(),
+            seals,
+            open: None,
+        }
+    }
+
+    /// The history, and whether it was opened just now.
+    ///
+    /// # Errors
+    /// It cannot be read, or was changed by others than the instrument.
+    pub fn opened(&mut self) -> Result<(&History, bool), HistoryError> {
+        let file = file_of(&self.path);
+        let before = self.open.take().filter(|open| open.file == file);
+        let is_new = before.is_none();
+        let open = match before {
+            Some(open) => open,
+            None => Opened {
+                history: History::read(&self.path, &self.seals)?,
+                file,
+            },
+        };
+        Ok((&self.open.insert(open).history, is_new))
+    }
+
+    /// Closes it, so that the next use opens and verifies it anew.
+    pub fn close(&mut self) {
+        self.open = None;
+    }
+}
+
+fn file_of(path: &Path) -> Option<[u64; 2]> {
+    let of = std::fs::metadata(path).ok()?;
+    Some([of.dev(), of.ino()])
+}

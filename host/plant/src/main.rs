@@ -1,0 +1,134 @@
+//! `flankscope-plant`: what a plant sees of a station. It reads the station's history and serves a page, metrics and a fieldbus
+//! word; it sends nothing to the instrument, whose checks go on whether this process runs, hangs or dies.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `settings` | `plant.toml` |
+//! | `access` | who may see the page: names and hashes of their tokens |
+//! | `history` | the history's file, kept open |
+//! | `follow` | follows it from a thread of its own |
+//! | `standing` | what stands for every tool: last verdict, its age, whether it counts |
+//! | `listener` | connections: how many, and how long their headers may take |
+//! | `page` | routes of the page |
+//! | `metrics` | Prometheus' text |
+//! | `modbus` | registers for a line controller |
+
+mod access;
+mod follow;
+mod history;
+mod listener;
+mod metrics;
+mod modbus;
+mod page;
+mod settings;
+mod standing;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use flankscope_record::seal::Seals;
+
+use access::{Role, Users};
+use settings::Settings;
+
+/// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
+///
+/// Nothing listens unless the settings file names an address for it. The page is for people with a token.
+#[derive(Parser)]
+#[command(version)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Serve what this settings file asks for, until it is interrupted
+    Serve {
+        /// Settings: history, addresses, users
+        #[arg(value_name = "PLANT.toml")]
+        settings: PathBuf,
+    },
+    /// Write an example of the settings file to standard output
+    Example,
+    /// Give a person or a program a token for the page; it is printed once, the file keeps its hash
+    Token {
+        /// Name of the person or program
+        name: String,
+        /// What it is good for
+        #[arg(long, value_enum, default_value_t = Role::View)]
+        role: Role,
+        /// File of users; created if missing
+        #[arg(long, value_name = "USERS.toml")]
+        users: PathBuf,
+    },
+}
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .init();
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            // As the instrument's commands: could not run.
+            ExitCode::from(3)
+        }
+    }
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.command {
+        Command::Serve { settings } => serve(&Settings::load(settings)?),
+        Command::Example => {
+            print!("{}", settings::EXAMPLE);
+            Ok(())
+        }
+        Command::Token { name, role, users } => {
+            println!("{}", Users::add(users, name, *role)?);
+            Ok(())
+        }
+    }
+}
+
+fn serve(settings: &Settings) -> anyhow::Result<()> {
+    let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder))?;
+    let standing = follow::follow(settings, seals.clone())?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()?;
+    runtime.block_on(async {
+        let mut tasks = tokio::task::JoinSet::new();
+        if let Some(of) = &settings.page {
+            let users = Users::load(&of.users)?;
+            let listener = listener::bind(of.listen)
+                .await
+                .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
+            let address = listener.local_addr()?;
+            let names = (address, of.name.as_deref());
+            let site = page::Site::new(settings, names, users, seals, standing.clone());
+            println!("page     http://{address}/");
+            tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
+        }
+        if let Some(of) = &settings.modbus {
+            let listener = listener::bind(of.listen)
+                .await
+                .with_context(|| format!("[modbus] listen = \"{}\"", of.listen))?;
+            println!("modbus   {}", listener.local_addr()?);
+            tasks.spawn(modbus::serve(listener, standing.clone()));
+        }
+        tokio::select! {
+            ended = tasks.join_next() => match ended {
+                Some(ended) => ended?,
+                None => Ok(()),
+            },
+            stopped = tokio::signal::ctrl_c() => Ok(stopped?),
+        }
+    })
+}

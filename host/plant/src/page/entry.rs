@@ -1,0 +1,153 @@
+//! Who comes in. A browser keeps the token in a cookie that scripts cannot read and other sites cannot send; a program sends it as
+//! `Authorization: Bearer TOKEN`.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use askama::Template;
+use axum::extract::{Form, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::{Html, IntoResponse, Redirect, Response};
+use serde::Deserialize;
+
+use super::Site;
+use super::views::Login;
+
+const COOKIE: &str = "flankscope_token";
+
+/// Headers of every answer: nothing is loaded from elsewhere, shown inside another site, or kept by a cache.
+const HEADERS: [(HeaderName, &str); 5] = [
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'; \
+         form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+    ),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (header::REFERRER_POLICY, "same-origin"),
+    (header::CACHE_CONTROL, "no-store"),
+];
+
+/// Names under which this site is reached. A page of another site whose name was pointed at this address is refused.
+#[derive(Debug)]
+pub struct Names {
+    hosts: Vec<String>,
+    /// Whether browsers reach it through TLS alone.
+    tls: bool,
+}
+
+impl Names {
+    pub fn new(address: SocketAddr, name: Option<&str>) -> Self {
+        let mut hosts = vec![address.to_string(), format!("localhost:{}", address.port())];
+        hosts.extend(name.map(str::to_owned));
+        Self {
+            hosts,
+            tls: name.is_some(),
+        }
+    }
+
+    fn holds(&self, host: &str) -> bool {
+        self.hosts.iter().any(|of| of.eq_ignore_ascii_case(host))
+    }
+}
+
+/// Refuses what is addressed to another name, and changes that another site's page asks for; adds [`HEADERS`].
+pub async fn of_this_site(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let host = text(request.headers(), &header::HOST);
+    let from = text(request.headers(), &header::ORIGIN);
+    let from = from.map(|origin| origin.split_once("://").map_or(origin, |(_, host)| host));
+    let is_change = !matches!(*request.method(), Method::GET | Method::HEAD);
+    let mut answer = if !host.is_some_and(|host| site.names.holds(host)) {
+        let why = "this address is served under another name ([page] name in plant.toml)\n";
+        (StatusCode::MISDIRECTED_REQUEST, why).into_response()
+    } else if is_change && !from.is_none_or(|from| site.names.holds(from)) {
+        (StatusCode::FORBIDDEN, "asked for by another site\n").into_response()
+    } else {
+        next.run(request).await
+    };
+    for (name, value) in HEADERS {
+        answer
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
+    }
+    answer
+}
+
+/// Passes on requests with a token; the others get the page for entering one, with status 401.
+pub async fn with_token(
+    State(site): State<Arc<Site>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let user = token(request.headers()).and_then(|token| site.users.of_token(token));
+    if let Some(user) = user.cloned() {
+        request.extensions_mut().insert(user);
+        return next.run(request).await;
+    }
+    unauthorised(request.uri(), false)
+}
+
+fn unauthorised(wanted: &Uri, refused: bool) -> Response {
+    let login = Login {
+        to: wanted.path_and_query().map_or("/", |to| to.as_str()),
+        refused,
+    };
+    match login.render() {
+        Ok(page) => (
+            StatusCode::UNAUTHORIZED,
+            [(header::WWW_AUTHENTICATE, "Bearer")],
+            Html(page),
+        )
+            .into_response(),
+        Err(_) => StatusCode::UNAUTHORIZED.into_response(),
+    }
+}
+
+fn token(headers: &HeaderMap) -> Option<&str> {
+    if let Some(bearer) = text(headers, &header::AUTHORIZATION) {
+        return bearer.strip_prefix("Bearer ");
+    }
+    let cookies = text(headers, &header::COOKIE)?.split(';');
+    let mut named = cookies.filter_map(|cookie| cookie.trim().split_once('='));
+    named
+        .find(|(name, _)| *name == COOKIE)
+        .map(|(_, token)| token)
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+    headers.get(name)?.to_str().ok()
+}
+
+#[derive(Deserialize)]
+pub struct Entered {
+    token: String,
+    to: String,
+}
+
+/// Takes a token that was entered, and leads on to the page that was wanted.
+pub async fn login(State(site): State<Arc<Site>>, Form(entered): Form<Entered>) -> Response {
+    let token = entered.token.trim();
+    // A path of this site: `//elsewhere` would be another one.
+    let is_path = entered.to.starts_with('/') && !entered.to[1..].starts_with(['/', '\\']);
+    let to: Option<Uri> = entered.to.parse().ok().filter(|_| is_path);
+    let to = to.unwrap_or_default();
+    let Some(user) = site.users.of_token(token) else {
+        tracing::warn!("a token was refused");
+        return unauthorised(&to, true);
+    };
+    tracing::info!("{} came in", user.name);
+    let secure = if site.names.tls { "; Secure" } else { "" };
+    let cookie = format!("{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict{secure}");
+    (
+        [(header::SET_COOKIE, cookie)],
+        Redirect::to(&to.to_string()),
+    )
+        .into_response()
+}
+
+/// Removes the token from the browser.
+pub async fn logout() -> Response {
+    let cookie = format!("{COOKIE}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0");
+    ([(header::SET_COOKIE, cookie)], Redirect::to("/")).into_response()
+}

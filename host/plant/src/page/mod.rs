@@ -1,0 +1,348 @@
+//! The page: what stands, live; every check; a tool's history; acknowledging a no-go; and the metrics. Each route but `/healthz` and
+//! `/login` wants a token.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `entry` | who comes in: token, host name, headers of every answer |
+//! | `views` | what the templates show |
+
+mod entry;
+mod views;
+
+use std::convert::Infallible;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use askama::Template;
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, Extension, Form, Path, Query, State};
+use axum::http::{StatusCode, header};
+use axum::middleware;
+use axum::response::sse::{Event, Sse};
+use axum::response::{Html, IntoResponse, Redirect, Response};
+use axum::routing::{get, post};
+use flankscope_foundation::display::is_command;
+use flankscope_metrology::verdict::Word;
+use flankscope_record::history::{Forecast, History, HistoryError, series};
+use flankscope_record::seal::Seals;
+use flankscope_report::history_html;
+use jiff::Timestamp;
+use serde::Deserialize;
+use tokio::sync::watch;
+use tokio::time::interval;
+use tokio_stream::wrappers::{IntervalStream, WatchStream};
+use tokio_stream::{Stream, StreamExt};
+
+use crate::access::{Role, User, Users};
+use crate::history::HistoryFile;
+use crate::metrics;
+use crate::settings::Settings;
+use crate::standing::Standing;
+use entry::Names;
+use views::{Board, CheckPage, List};
+
+/// Checks on one page of the list.
+const LISTED: u32 = 50;
+/// Longest reason of an acknowledgement, characters.
+const MOST_REASON: usize = 200;
+/// Largest body of a request, bytes: a token, or a reason.
+const MOST_BODY: usize = 4096;
+/// How often a page hears that its connection stands; its verdicts grey out after three times that.
+const TICK: Duration = Duration::from_secs(5);
+
+/// What the routes share.
+#[derive(Debug)]
+pub struct Site {
+    users: Users,
+    names: Names,
+    reports: Option<PathBuf>,
+    standing: watch::Receiver<Arc<Standing>>,
+    /// The history, for acknowledgements.
+    path: PathBuf,
+    seals: Seals,
+    /// For what is asked; the thread that follows the history has one of its own and is not held up.
+    history: Mutex<HistoryFile>,
+}
+
+impl Site {
+    /// A site that is reached at `address`, and under `name` through a proxy with TLS.
+    pub fn new(
+        settings: &Settings,
+        (address, name): (std::net::SocketAddr, Option<&str>),
+        users: Users,
+        seals: Seals,
+        standing: watch::Receiver<Arc<Standing>>,
+    ) -> Self {
+        Self {
+            users,
+            names: Names::new(address, name),
+            reports: settings.reports.clone(),
+            standing,
+            path: settings.history.clone(),
+            seals: seals.clone(),
+            history: Mutex::new(HistoryFile::new(&settings.history, seals)),
+        }
+    }
+
+    /// Reads the history where it holds up nobody.
+    async fn ask<T: Send + 'static>(
+        self: &Arc<Self>,
+        question: impl FnOnce(&History) -> Result<T, HistoryError> + Send + 'static,
+    ) -> Result<T, Failed> {
+        if let Some(fault) = &self.standing.borrow().fault {
+            return Err(Failed::Because(fault.to_string()));
+        }
+        let site = Arc::clone(self);
+        let answer = tokio::task::spawn_blocking(move || {
+            let mut file = site.history.lock().unwrap_or_else(PoisonError::into_inner);
+            let answer = file.opened().and_then(|(history, _)| question(history));
+            if answer.is_err() {
+                file.close();
+            }
+            answer
+        });
+        Ok(answer.await??)
+    }
+}
+
+/// Why a page cannot be shown.
+enum Failed {
+    NotThere,
+    /// The token's role does not acknowledge.
+    NotAllowed,
+    /// An acknowledgement without a usable reason.
+    NoReason,
+    /// No unacknowledged no-go has this number: a newer one stands, or somebody was faster.
+    NotStanding(i64),
+    Because(String),
+}
+
+impl From<HistoryError> for Failed {
+    fn from(error: HistoryError) -> Self {
+        match error {
+            HistoryError::NoSuchCheck { .. } => Self::NotThere,
+            error => Self::Because(error.to_string()),
+        }
+    }
+}
+
+impl From<askama::Error> for Failed {
+    fn from(error: askama::Error) -> Self {
+        Self::Because(error.to_string())
+    }
+}
+
+impl From<tokio::task::JoinError> for Failed {
+    fn from(error: tokio::task::JoinError) -> Self {
+        Self::Because(error.to_string())
+    }
+}
+
+impl IntoResponse for Failed {
+    fn into_response(self) -> Response {
+        match self {
+            Self::NotThere => (StatusCode::NOT_FOUND, "there is no such page\n").into_response(),
+            Self::NotAllowed => (
+                StatusCode::FORBIDDEN,
+                "this token may look, not acknowledge\n",
+            )
+                .into_response(),
+            Self::NoReason => {
+                let why = format!("a reason of 1 to {MOST_REASON} characters is needed\n");
+                (StatusCode::UNPROCESSABLE_ENTITY, why).into_response()
+            }
+            Self::NotStanding(check) => {
+                let why = format!(
+                    "check {check} is not the no-go that stands now: look again, a newer one may, or somebody acknowledged it\n"
+                );
+                (StatusCode::CONFLICT, why).into_response()
+            }
+            Self::Because(why) => {
+                (StatusCode::SERVICE_UNAVAILABLE, format!("{why}\n")).into_response()
+            }
+        }
+    }
+}
+
+/// All routes.
+pub fn routes(site: Arc<Site>) -> Router {
+    let with_token = Router::new()
+        .route("/", get(home))
+        .route("/board", get(board))
+        .route("/events", get(events))
+        .route("/checks", get(checks))
+        .route("/checks/{id}", get(check))
+        .route("/checks/{id}/document", get(document))
+        .route("/trend", get(trend))
+        .route("/reports/{page}", get(report))
+        .route("/metrics", get(scraped))
+        .route("/acknowledge", post(acknowledge))
+        .layer(middleware::from_fn_with_state(
+            Arc::clone(&site),
+            entry::with_token,
+        ));
+    Router::new()
+        .merge(with_token)
+        .route("/healthz", get(|| async { "ok\n" }))
+        .route("/login", post(entry::login))
+        .route("/logout", post(entry::logout))
+        .layer(DefaultBodyLimit::max(MOST_BODY))
+        .layer(middleware::from_fn_with_state(
+            Arc::clone(&site),
+            entry::of_this_site,
+        ))
+        .with_state(site)
+}
+
+/// An acknowledgement as the page sends it: of which no-go, and why it may be cleared.
+#[derive(Deserialize)]
+struct Acknowledged {
+    check: i64,
+    reason: String,
+}
+
+/// Stores who acknowledged a no-go and why; a watch that runs obeys it, and checks again at the next opening.
+async fn acknowledge(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    Form(said): Form<Acknowledged>,
+) -> Result<Redirect, Failed> {
+    if user.role != Role::Acknowledge {
+        return Err(Failed::NotAllowed);
+    }
+    let reason = said.reason.trim().to_owned();
+    if reason.is_empty() || reason.chars().count() > MOST_REASON || reason.contains(is_command) {
+        return Err(Failed::NoReason);
+    }
+    let who = format!("{}: {reason}", user.name);
+    let shared = Arc::clone(&site);
+    let stored = tokio::task::spawn_blocking(move || {
+        let mut history = History::open(&shared.path, &shared.seals)?;
+        let no_gos = history.standing_no_gos()?;
+        let Some(no_go) = no_gos.into_iter().find(|no_go| no_go.check == said.check) else {
+            return Ok(false);
+        };
+        history.acknowledge(&no_go.die, &who).map(|()| true)
+    });
+    match stored.await?? {
+        true => {
+            tracing::info!("{} acknowledged check {}: {reason}", user.name, said.check);
+            Ok(Redirect::to("/"))
+        }
+        false => Err(Failed::NotStanding(said.check)),
+    }
+}
+
+type Shown = Result<Html<String>, Failed>;
+
+async fn home(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
+    let board = board_now(&site, &user)?;
+    Ok(Html(views::Home { board }.render()?))
+}
+
+async fn board(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
+    Ok(Html(board_now(&site, &user)?))
+}
+
+fn board_now(site: &Site, user: &User) -> Result<String, askama::Error> {
+    let acknowledges = user.role == Role::Acknowledge;
+    Board::new(&site.standing.borrow(), Timestamp::now(), acknowledges).render()
+}
+
+/// A line at every change, and at least every [`TICK`]: the page then asks for the board, whose ages have changed.
+async fn events(
+    State(site): State<Arc<Site>>,
+) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
+    let changes = WatchStream::new(site.standing.clone()).map(|_| "changed");
+    let ticks = IntervalStream::new(interval(TICK)).map(|_| "tick");
+    Sse::new(
+        changes
+            .merge(ticks)
+            .map(|what| Ok(Event::default().data(what))),
+    )
+}
+
+#[derive(Deserialize)]
+struct Filter {
+    tool: Option<String>,
+    verdict: Option<Word>,
+    before: Option<i64>,
+}
+
+async fn checks(State(site): State<Arc<Site>>, Query(filter): Query<Filter>) -> Shown {
+    let Filter {
+        tool,
+        verdict,
+        before,
+    } = filter;
+    let tool = tool.filter(|tool| !tool.is_empty());
+    let of = tool.clone();
+    let (tools, listed) = site
+        .ask(move |history| {
+            let listed = history.listed(of.as_deref(), verdict, before, LISTED)?;
+            Ok((history.tools()?, listed))
+        })
+        .await?;
+    let more = listed.last().filter(|_| listed.len() == LISTED as usize);
+    let page = List {
+        more: more.map(|check| check.id),
+        tools,
+        tool: tool.unwrap_or_default(),
+        verdict,
+        checks: listed,
+    };
+    Ok(Html(page.render()?))
+}
+
+async fn check(State(site): State<Arc<Site>>, Path(id): Path<i64>) -> Shown {
+    let check = site.ask(move |history| history.check(id)).await?;
+    let report = match &site.reports {
+        Some(folder) => views::report_of(folder.clone(), id).await,
+        None => None,
+    };
+    Ok(Html(CheckPage { check, report }.render()?))
+}
+
+async fn document(
+    State(site): State<Arc<Site>>,
+    Path(id): Path<i64>,
+) -> Result<impl IntoResponse, Failed> {
+    let document = site.ask(move |history| history.document(id)).await?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], document))
+}
+
+#[derive(Deserialize)]
+struct OfTool {
+    tool: String,
+}
+
+async fn trend(State(site): State<Arc<Site>>, Query(OfTool { tool }): Query<OfTool>) -> Shown {
+    let page = site
+        .ask(move |history| {
+            let checks = history.checks(&tool)?;
+            let acknowledgements = history.acknowledgements(&tool)?;
+            let forecasts: Vec<_> = series(&checks).into_iter().map(Forecast::of).collect();
+            Ok((!checks.is_empty())
+                .then(|| history_html(&tool, &checks, &acknowledgements, &forecasts)))
+        })
+        .await?;
+    Ok(Html(page.ok_or(Failed::NotThere)??))
+}
+
+/// A page that the instrument wrote beside the history.
+async fn report(State(site): State<Arc<Site>>, Path(page): Path<String>) -> Shown {
+    let folder = site.reports.clone().ok_or(Failed::NotThere)?;
+    Ok(Html(
+        views::report_page(folder, page)
+            .await
+            .ok_or(Failed::NotThere)?,
+    ))
+}
+
+async fn scraped(State(site): State<Arc<Site>>) -> Response {
+    match metrics::text(&site.standing.borrow(), Timestamp::now()) {
+        Ok(text) => ([(header::CONTENT_TYPE, metrics::CONTENT_TYPE)], text).into_response(),
+        Err(error) => Failed::Because(error.to_string()).into_response(),
+    }
+}

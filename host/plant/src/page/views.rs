@@ -1,0 +1,237 @@
+//! What the templates show.
+
+use std::path::PathBuf;
+
+use askama::Template;
+use flankscope_foundation::files::read_text;
+use flankscope_metrology::verdict::Word;
+use flankscope_record::history::{Check, FlankRow};
+use jiff::Timestamp;
+
+use crate::standing::{Standing, Worth};
+
+/// Largest page of a report, bytes.
+const MOST_REPORT: u64 = 4 << 20;
+
+#[derive(Template)]
+#[template(path = "login.html")]
+pub struct Login<'a> {
+    /// Where to go then.
+    pub to: &'a str,
+    /// Whether a token was just refused.
+    pub refused: bool,
+}
+
+#[derive(Template)]
+#[template(path = "home.html")]
+pub struct Home {
+    pub board: String,
+}
+
+/// What stands for every tool.
+#[derive(Template)]
+#[template(path = "board.html")]
+pub struct Board {
+    fault: Option<String>,
+    tools: Vec<Tile>,
+    /// Whether its reader may acknowledge.
+    acknowledges: bool,
+}
+
+struct Tile {
+    tool: String,
+    query: String,
+    /// Class and word of the badge.
+    badge: &'static str,
+    word: &'static str,
+    /// Why the verdict does not count, if it does not.
+    not_counting: Option<String>,
+    /// The check whose no-go is not acknowledged.
+    latched: Option<i64>,
+    simulated: bool,
+    age: String,
+    id: i64,
+    reason: String,
+    worst: Option<String>,
+    particulars: String,
+    counts: String,
+}
+
+impl Board {
+    pub fn new(standing: &Standing, now: Timestamp, acknowledges: bool) -> Self {
+        let tile = |of: &crate::standing::ToolStanding| {
+            let last = &of.last;
+            let worth = standing.worth(of, now);
+            let age = standing
+                .age_s(of, now)
+                .map_or("at an unknown time".into(), ago);
+            let word = shown(last.verdict);
+            // Old or unreadable verdicts are shown as what they are; only a no-go stays one.
+            let (badge, word, not_counting) = match (worth, last.verdict) {
+                _ if of.latched.is_some() => ("no-go", shown(Word::NoGo), None),
+                (Worth::Counts, verdict) => (verdict.as_str(), word, None),
+                (_, Word::NoGo) => ("no-go", word, None),
+                (Worth::Stale, _) => ("old", "TOO OLD", Some(format!("last {word}, {age}"))),
+                (Worth::Unknown, _) => ("old", "UNKNOWN", Some(format!("last {word}, {age}"))),
+            };
+            Tile {
+                tool: last.tool.clone(),
+                query: query(&last.tool),
+                badge,
+                word,
+                not_counting,
+                latched: of.latched.as_ref().map(|no_go| no_go.check),
+                simulated: last.origin.simulated,
+                age,
+                id: last.id,
+                reason: last.reason.clone(),
+                worst: of.most_worn().map(worn),
+                particulars: format!(
+                    "station {} · head {} · {} press cycles",
+                    last.origin.station, last.origin.head.name, last.tool_cycles
+                ),
+                counts: of
+                    .counts
+                    .iter()
+                    .map(|(word, count)| format!("{count} {}", word.as_str()))
+                    .collect::<Vec<_>>()
+                    .join(" · "),
+            }
+        };
+        Self {
+            fault: standing.fault.as_deref().map(str::to_owned),
+            tools: standing.tools.iter().map(tile).collect(),
+            acknowledges,
+        }
+    }
+}
+
+fn shown(word: Word) -> &'static str {
+    match word {
+        Word::Go => "GO",
+        Word::Warn => "WARN",
+        Word::NoGo => "NO-GO",
+        Word::Indeterminate => "INDETERMINATE",
+    }
+}
+
+/// Time since then, to two figures.
+fn ago(age_s: u64) -> String {
+    match age_s {
+        0..120 => format!("{age_s} s ago"),
+        120..7200 => format!("{} min ago", age_s / 60),
+        7200..172_800 => format!("{} h ago", age_s / 3600),
+        _ => format!("{} days ago", age_s / 86_400),
+    }
+}
+
+fn worn(flank: &FlankRow) -> String {
+    format!(
+        "{}: {} µm, stop at {:.0} µm",
+        flank.id,
+        wear(flank),
+        flank.limit_um
+    )
+}
+
+fn wear(flank: &FlankRow) -> String {
+    match (flank.wear_um, flank.u95_um) {
+        (Some(wear_um), Some(u95_um)) => format!("{wear_um:.1} ± {u95_um:.1}"),
+        (Some(wear_um), None) => format!("{wear_um:.1} ± –"),
+        (None, _) => "–".into(),
+    }
+}
+
+/// A text as the value of a query.
+fn query(text: &str) -> String {
+    let mut out = String::new();
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
+            out.push(char::from(byte));
+        } else {
+            out += &format!("%{byte:02X}");
+        }
+    }
+    out
+}
+
+/// The list of checks.
+#[derive(Template)]
+#[template(path = "checks.html")]
+pub struct List {
+    pub tools: Vec<String>,
+    /// Filters; an empty name means all tools.
+    pub tool: String,
+    pub verdict: Option<Word>,
+    /// Newest first.
+    pub checks: Vec<Check>,
+    /// Older ones follow before this one.
+    pub more: Option<i64>,
+}
+
+impl List {
+    fn words(&self) -> [Word; 4] {
+        Word::ALL
+    }
+
+    fn most_worn(&self, check: &Check) -> String {
+        crate::standing::most_worn(check).map_or_else(
+            || "–".into(),
+            |flank| format!("{} {}", flank.id, wear(flank)),
+        )
+    }
+
+    fn older(&self, before: &i64) -> String {
+        let verdict = self
+            .verdict
+            .map_or_else(String::new, |word| format!("&verdict={word}"));
+        format!("checks?tool={}{verdict}&before={before}", query(&self.tool))
+    }
+}
+
+/// One check.
+#[derive(Template)]
+#[template(path = "check.html")]
+pub struct CheckPage {
+    pub check: Check,
+    /// Name of the instrument's page of it.
+    pub report: Option<String>,
+}
+
+impl CheckPage {
+    fn wear(&self, flank: &FlankRow) -> String {
+        wear(flank)
+    }
+}
+
+/// Name of the report of a check in a folder of reports, if there is one.
+pub async fn report_of(folder: PathBuf, id: i64) -> Option<String> {
+    let part = format!("-check-{id}-");
+    let find = move || {
+        let files = std::fs::read_dir(folder.join("reports")).ok()?;
+        let names = files.filter_map(|file| file.ok()?.file_name().into_string().ok());
+        names
+            .filter(|name| is_page(name) && name.contains(&part))
+            .max()
+    };
+    tokio::task::spawn_blocking(find).await.ok()?
+}
+
+/// A page in a folder of reports.
+pub async fn report_page(folder: PathBuf, name: String) -> Option<String> {
+    if !is_page(&name) {
+        return None;
+    }
+    let read = move || {
+        let path = folder.join("reports").join(name);
+        (std::fs::metadata(&path).ok()?.len() <= MOST_REPORT).then(|| read_text(&path).ok())?
+    };
+    tokio::task::spawn_blocking(read).await.ok()?
+}
+
+/// Whether it is a name that the instrument gives a page: letters, digits and hyphens, so that no path leads out of the folder.
+fn is_page(name: &str) -> bool {
+    name.strip_suffix(".html").is_some_and(|stem| {
+        !stem.is_empty() && stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-')
+    })
+}

@@ -1,0 +1,522 @@
+//! The plant's process against histories that the instrument writes: who gets in, what is shown, and what it shows when it knows
+//! nothing.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use flankscope_tests::{flankscope, run, state};
+
+const ROUTES: [&str; 9] = [
+    "/",
+    "/board",
+    "/events",
+    "/checks",
+    "/checks/1",
+    "/checks/1/document",
+    "/trend?tool=demo%20die",
+    "/reports/a.html",
+    "/metrics",
+];
+
+fn plant() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flankscope-plant"));
+    command.env("FLANKSCOPE_STATE", state());
+    command
+}
+
+/// What the command prints.
+fn printed(arguments: &[&str], file: &Path) -> String {
+    let output = plant().args(arguments).arg(file).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+/// A folder with a history, settings and a user.
+struct Station {
+    folder: tempfile::TempDir,
+    token: String,
+}
+
+impl Station {
+    fn new(stale_after_s: u32) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let users = folder.path().join("users.toml");
+        let token = printed(
+            &["token", "Anna", "--role", "acknowledge", "--users"],
+            &users,
+        );
+        let settings = format!(
+            "history = \"press.db\"\nstale_after_s = {stale_after_s}\nreports = \"out\"\n\n\
+             [page]\nlisten = \"127.0.0.1:0\"\nusers = \"users.toml\"\n\n[modbus]\nlisten = \"127.0.0.1:0\"\n"
+        );
+        std::fs::write(folder.path().join("plant.toml"), settings).unwrap();
+        Self { folder, token }
+    }
+
+    fn history(&self) -> PathBuf {
+        self.folder.path().join("press.db")
+    }
+
+    /// Checks the demo die's tooth 40, and returns the exit code.
+    fn check(&self, more: &[&str]) -> i32 {
+        let mut check = flankscope();
+        check.args([
+            "inspect", "--link", "sim", "--speed", "max", "--quiet", "--teeth", "40",
+        ]);
+        check.arg("--history").arg(self.history());
+        check.arg("--report").arg(self.folder.path().join("out"));
+        run(check.args(more)).code
+    }
+
+    fn serve(&self) -> Plant {
+        let mut child = plant()
+            .arg("serve")
+            .arg(self.folder.path().join("plant.toml"))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let mut address = |before: &str| -> SocketAddr {
+            let line = lines.next().unwrap().unwrap();
+            let said = line.trim_start_matches(before).trim().trim_end_matches('/');
+            said.parse().unwrap_or_else(|_| panic!("{line}"))
+        };
+        Plant {
+            page: address("page     http://"),
+            modbus: address("modbus"),
+            token: self.token.clone(),
+            _process: Killed(child),
+        }
+    }
+}
+
+/// A process that ends with its test.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The plant's process, where it listens, and a token for it.
+struct Plant {
+    page: SocketAddr,
+    modbus: SocketAddr,
+    token: String,
+    _process: Killed,
+}
+
+/// Status and text of an answer, headers included.
+struct Answer {
+    status: u16,
+    text: String,
+}
+
+impl Plant {
+    /// Sends a request as it is spelled here.
+    fn send(&self, request: &str) -> Answer {
+        let mut stream = TcpStream::connect(self.page).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let text = String::from_utf8_lossy(&answer).into_owned();
+        let status = text
+            .split(' ')
+            .nth(1)
+            .and_then(|status| status.parse().ok());
+        Answer {
+            status: status.unwrap_or_else(|| panic!("{text}")),
+            text,
+        }
+    }
+
+    fn get(&self, path: &str, headers: &str) -> Answer {
+        let host = self.page;
+        self.send(&format!(
+            "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n"
+        ))
+    }
+
+    fn post(&self, path: &str, headers: &str, form: &str) -> Answer {
+        let (host, length) = (self.page, form.len());
+        self.send(&format!(
+            "POST {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Type: application/x-www-form-urlencoded\r\n\
+             Content-Length: {length}\r\n{headers}\r\n{form}"
+        ))
+    }
+
+    fn with_token(&self, path: &str) -> Answer {
+        self.get(path, &format!("Authorization: Bearer {}\r\n", self.token))
+    }
+
+    /// The board, once it shows this.
+    fn board_with(&self, wanted: &str) -> String {
+        let end = Instant::now() + Duration::from_secs(30);
+        loop {
+            let board = self.with_token("/board").text;
+            if board.contains(wanted) {
+                return board;
+            }
+            assert!(Instant::now() < end, "no {wanted} in {board}");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+
+    /// A Modbus request (the bytes after unit and length, by the protocol's specification) and the bytes of its answer.
+    fn ask_registers(&self, request: [u8; 5]) -> Vec<u8> {
+        let mut stream = TcpStream::connect(self.modbus).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let mut frame = vec![0x12, 0x34, 0, 0, 0, 6, 1];
+        frame.extend(request);
+        stream.write_all(&frame).unwrap();
+        let mut head = [0; 7];
+        stream.read_exact(&mut head).unwrap();
+        assert_eq!(
+            head[..4],
+            [0x12, 0x34, 0, 0],
+            "transaction and protocol come back"
+        );
+        let mut answer = vec![0; usize::from(u16::from_be_bytes([head[4], head[5]])) - 1];
+        stream.read_exact(&mut answer).unwrap();
+        answer
+    }
+
+    fn registers(&self) -> Vec<u16> {
+        let answer = self.ask_registers([4, 0, 0, 0, 10]);
+        assert_eq!(answer[..2], [4, 20]);
+        let words = answer[2..].chunks_exact(2);
+        words
+            .map(|word| u16::from_be_bytes([word[0], word[1]]))
+            .collect()
+    }
+}
+
+#[test]
+fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
+    let station = Station::new(3600);
+    let plant = station.serve();
+    // Before the first check: a fault, and nothing that could be taken for a go.
+    plant.board_with("cannot be read");
+    assert_eq!(plant.registers()[0], 1 << 7);
+    assert_eq!(station.check(&[]), 0);
+    let board = plant.board_with("verdict go");
+    assert!(
+        board.contains("SIMULATED") && board.contains("40 "),
+        "{board}"
+    );
+    let registers = plant.registers();
+    // go, simulated.
+    assert_eq!(
+        (registers[0], registers[3]),
+        (0b10_0001, 1),
+        "{registers:?}"
+    );
+    assert!(registers[2] < 60, "age: {registers:?}");
+    assert_eq!(registers[4..6], [0, 1], "check 1: {registers:?}");
+    let again = plant.registers();
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_ne!(plant.registers()[1], again[1], "it lives");
+
+    assert_eq!(station.check(&["--wear", "40:left:80"]), 1);
+    let board = plant.board_with("verdict no-go");
+    assert!(
+        board.contains("is not acknowledged") && !board.contains("verdict go"),
+        "{board}"
+    );
+    let registers = plant.registers();
+    // no-go, latched, simulated.
+    assert_eq!(
+        (registers[0], registers[3]),
+        (0b11_0100, 3),
+        "{registers:?}"
+    );
+    let wear_um = f64::from(registers[8] as i16) / 10.0;
+    let u95_um = f64::from(registers[9]) / 10.0;
+    assert!(
+        (wear_um - 80.0).abs() < 10.0 && (0.1..10.0).contains(&u95_um),
+        "{registers:?}"
+    );
+
+    let metrics = plant.with_token("/metrics").text;
+    for line in [
+        "flankscope_history_readable 1.0",
+        "flankscope_no_go_latched{tool=\"demo die\",station=",
+        "verdict=\"no-go\"} 1.0",
+        "# EOF",
+    ] {
+        assert!(metrics.contains(line), "no {line} in {metrics}");
+    }
+    let list = plant.with_token("/checks?verdict=no-go&tool=").text;
+    assert!(
+        list.contains("/checks/2\"") && !list.contains("/checks/1\""),
+        "{list}"
+    );
+    let check = plant.with_token("/checks/2").text;
+    let report = check
+        .split("/reports/")
+        .nth(1)
+        .and_then(|rest| rest.split('"').next());
+    let report = plant
+        .with_token(&format!("/reports/{}", report.unwrap()))
+        .text;
+    assert!(report.contains("How the deviations of the inspected zones are spread"));
+    let trend = plant.with_token("/trend?tool=demo%20die").text;
+    assert!(trend.contains("40 left"), "{trend}");
+    let document = plant.with_token("/checks/2/document").text;
+    assert!(document.contains("\"no-go\""), "{document}");
+    assert_eq!(plant.with_token("/checks/3").status, 404);
+}
+
+#[test]
+fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
+    let station = Station::new(3600);
+    let plant = station.serve();
+    let mut watch = flankscope();
+    watch.args([
+        "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "2", "--cycles",
+        "1000",
+    ]);
+    watch
+        .args(["--wear-rate", "40:left:40", "--history"])
+        .arg(station.history());
+    let watch = watch
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut watch = Killed(watch);
+    let mut lines = BufReader::new(watch.0.stdout.take().unwrap()).lines();
+    let mut heard = |wanted: &str| {
+        let found = lines.any(|line| line.unwrap().contains(wanted));
+        assert!(found, "the watch ended without: {wanted}");
+    };
+    heard("no-go stays until it is acknowledged");
+    let standing = |plant: &Plant| -> u32 {
+        let board = plant.board_with("is not acknowledged");
+        let check = board.split("name=\"check\" value=\"").nth(1).unwrap();
+        check.split('"').next().unwrap().parse().unwrap()
+    };
+    let check = standing(&plant);
+    let form = |check: u32| format!("check={check}&reason=insert+changed");
+    let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
+    // Without a token, for another check, without a reason, from another site's page.
+    assert_eq!(plant.post("/acknowledge", "", &form(check)).status, 401);
+    assert_eq!(
+        plant
+            .post("/acknowledge", &bearer, &form(check + 1000))
+            .status,
+        409
+    );
+    let no_reason = format!("check={check}&reason=+");
+    assert_eq!(plant.post("/acknowledge", &bearer, &no_reason).status, 422);
+    let elsewhere = format!("{bearer}Origin: https://evil.example\r\n");
+    assert_eq!(
+        plant.post("/acknowledge", &elsewhere, &form(check)).status,
+        403
+    );
+    // The watch goes on checking: each of its checks is a newer no-go that stands.
+    let answers = (0..20).map(|_| {
+        plant
+            .post("/acknowledge", &bearer, &form(standing(&plant)))
+            .status
+    });
+    assert!(answers.into_iter().any(|status| status == 303));
+    heard("acknowledged: the next check decides anew");
+    drop(watch);
+    let history = run(flankscope()
+        .arg("history")
+        .arg(station.history())
+        .args(["--json", "-"]));
+    let who = &history.json["acknowledgements"][0]["who"];
+    assert_eq!(who, "Anna: insert changed");
+}
+
+#[test]
+fn a_token_that_may_look_does_not_acknowledge() {
+    let station = Station::new(3600);
+    assert_eq!(station.check(&["--wear", "40:left:80"]), 1);
+    let users = station.folder.path().join("users.toml");
+    let plant = station.serve();
+    assert!(plant.board_with("is not acknowledged").contains("<form"));
+    drop(plant);
+    let token = printed(&["token", "screen", "--users"], &users);
+    let plant = Station { token, ..station }.serve();
+    let board = plant.board_with("is not acknowledged");
+    assert!(!board.contains("<form"), "{board}");
+    let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
+    assert_eq!(
+        plant
+            .post("/acknowledge", &bearer, "check=1&reason=a")
+            .status,
+        403
+    );
+}
+
+#[test]
+fn nobody_comes_in_without_a_token() {
+    let station = Station::new(3600);
+    assert_eq!(station.check(&[]), 0);
+    let plant = station.serve();
+    plant.board_with("verdict go");
+    for path in ROUTES {
+        assert_eq!(plant.get(path, "").status, 401, "{path}");
+        let other = "Authorization: Bearer 0000\r\n";
+        assert_eq!(plant.get(path, other).status, 401, "{path}");
+    }
+    assert_eq!(plant.get("/healthz", "").status, 200);
+    let answer = plant.post("/login", "", "token=0000&to=%2F");
+    assert_eq!(answer.status, 401);
+    // A browser: token in, cookie out, and on to where it wanted to go.
+    let form = |to: &str| format!("token={}&to={to}", plant.token);
+    let answer = plant.post("/login", "", &form("%2Fchecks"));
+    assert_eq!(answer.status, 303);
+    let text = answer.text.to_ascii_lowercase();
+    assert!(
+        text.contains("httponly; samesite=strict") && text.contains("location: /checks"),
+        "{text}"
+    );
+    let cookie = format!("Cookie: a=b; flankscope_token={}\r\n", plant.token);
+    assert_eq!(plant.get("/checks", &cookie).status, 200);
+    // Nowhere else.
+    for to in [
+        "%2F%2Fevil.example%2F",
+        "https%3A%2F%2Fevil.example",
+        "%2F%5Cevil.example",
+    ] {
+        let text = plant
+            .post("/login", "", &form(to))
+            .text
+            .to_ascii_lowercase();
+        assert!(text.contains("location: /\r\n"), "{to}: {text}");
+    }
+    // Another site's page, and another site's name for this address.
+    let elsewhere = "Origin: https://evil.example\r\n";
+    assert_eq!(plant.post("/logout", elsewhere, "").status, 403);
+    let host = "GET /healthz HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n";
+    assert_eq!(plant.send(host).status, 421);
+    // Nothing leads out of the folder of reports.
+    std::fs::write(station.folder.path().join("secret.html"), "secret").unwrap();
+    for path in [
+        "/reports/..%2Fsecret.html",
+        "/reports/%2e%2e%2fsecret.html",
+        "/reports/../secret.html",
+    ] {
+        let answer = plant.with_token(path);
+        assert!(
+            answer.status == 404 && !answer.text.contains("secret"),
+            "{path}: {}",
+            answer.text
+        );
+    }
+    // A body beyond any token.
+    assert_eq!(plant.post("/login", "", &"a".repeat(1 << 20)).status, 413);
+}
+
+#[test]
+fn what_is_old_or_cannot_be_believed_is_no_go_ahead() {
+    let station = Station::new(2);
+    assert_eq!(station.check(&[]), 0);
+    let plant = station.serve();
+    let board = plant.board_with("verdict old");
+    assert!(board.contains("no longer counts"), "{board}");
+    let registers = plant.registers();
+    // simulated, stale.
+    assert_eq!(
+        (registers[0], registers[3]),
+        (0b110_0000, 0),
+        "{registers:?}"
+    );
+    // Somebody turns the stored verdict.
+    let mut bytes = std::fs::read(station.history()).unwrap();
+    let word = b"verdict";
+    let places: Vec<_> = (0..bytes.len() - word.len())
+        .filter(|&at| &bytes[at..at + word.len()] == word)
+        .collect();
+    for at in places {
+        bytes[at] = b'w';
+    }
+    let edited = station.folder.path().join("edited.db");
+    std::fs::write(&edited, bytes).unwrap();
+    std::fs::rename(&edited, station.history()).unwrap();
+    let board = plant.board_with("cannot be read");
+    assert!(!board.contains("verdict go"), "{board}");
+    assert_eq!(plant.registers()[0] & 0b1000_0001, 0b1000_0000);
+}
+
+#[test]
+fn connections_that_say_nothing_hold_up_nobody() {
+    let station = Station::new(3600);
+    let plant = station.serve();
+    let silent: Vec<_> = (0..500)
+        .map(|_| TcpStream::connect(plant.page).unwrap())
+        .collect();
+    assert_eq!(plant.get("/healthz", "").status, 200);
+    // Of Modbus at most 32; the others are closed, and these answer.
+    let held: Vec<_> = (0..20)
+        .map(|_| TcpStream::connect(plant.modbus).unwrap())
+        .collect();
+    assert_eq!(plant.registers().len(), 10);
+    // Beyond the registers, and an order to write.
+    assert_eq!(plant.ask_registers([4, 0, 5, 0, 6]), [0x84, 2]);
+    assert_eq!(plant.ask_registers([6, 0, 0, 0, 1]), [0x86, 1]);
+    drop((silent, held));
+}
+
+fn refused(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn settings_that_would_serve_nothing_or_everybody_are_refused() {
+    let station = Station::new(3600);
+    let folder = station.folder.path();
+    let file = folder.join("plant.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let serve = |text: &str| -> String {
+        std::fs::write(&file, text).unwrap();
+        refused(&plant().arg("serve").arg(&file).output().unwrap())
+    };
+    let no_listener = "history = \"press.db\"\nstale_after_s = 60\n";
+    assert!(serve(no_listener).contains("nothing would listen"));
+    let open = text.replacen("127.0.0.1:0", "0.0.0.0:0", 1);
+    assert!(serve(&open).contains("proxy with TLS"));
+    assert!(serve(&text.replace("3600", "0")).contains("stale_after_s = 0"));
+    assert!(serve(&text.replace("reports", "report")).contains("report"));
+    assert!(serve(&text.replace("users.toml", "nobody.toml")).contains("nobody.toml"));
+    let users = folder.join("users.toml");
+    let chmod = |mode: &str| {
+        let done = Command::new("chmod")
+            .arg(mode)
+            .arg(&users)
+            .status()
+            .unwrap();
+        assert!(done.success());
+    };
+    chmod("644");
+    assert!(serve(&text).contains("chmod 600"));
+    chmod("600");
+    let token = |name: &str, users: &Path| {
+        let mut command = plant();
+        command
+            .args(["token", name, "--users"])
+            .arg(users)
+            .output()
+            .unwrap()
+    };
+    assert!(refused(&token("Anna", &users)).contains("has a token already"));
+    assert!(refused(&token("a\"b", &users)).contains("is no name"));
+    let kept = std::fs::read_to_string(&users).unwrap();
+    assert!(!kept.contains(&station.token), "the file keeps no token");
+}
