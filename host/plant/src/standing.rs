@@ -43,10 +43,8 @@ impl Standing {
     /// Age of a tool's last check, s; none if its date is in the future or unreadable.
     pub fn age_s(&self, tool: &ToolStanding, now: Timestamp) -> Option<u64> {
         let at: Timestamp = tool.last.at.parse().ok()?;
-        // A second, because the history's dates have no fractions.
-        u64::try_from(now.as_second() - at.as_second() + 1)
-            .ok()
-            .map(|age_s| age_s.saturating_sub(1))
+        let age_ms = now.as_millisecond() - at.as_millisecond();
+        u64::try_from(age_ms).ok().map(|age_ms| age_ms / 1000)
     }
 
     /// What a tool's last verdict is worth.

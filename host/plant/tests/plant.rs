@@ -351,7 +351,8 @@ fn a_token_that_may_look_does_not_acknowledge() {
     assert!(plant.board_with("is not acknowledged").contains("<form"));
     drop(plant);
     let token = printed(&["token", "screen", "--users"], &users);
-    let plant = Station { token, ..station }.serve();
+    let station = Station { token, ..station };
+    let plant = station.serve();
     let board = plant.board_with("is not acknowledged");
     assert!(!board.contains("<form"), "{board}");
     let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
