@@ -169,6 +169,8 @@ const TESTS_ONLY: &[Room] = &[
     (INSTRUMENT, &[TEST_REQUISITES]),
     (RECORD, &[TEST_REQUISITES]),
     (JOBS, &[TEST_REQUISITES]),
+    // Histories that the instrument itself has written.
+    (PLANT, &[TESTS]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[INSTRUMENT, TEST_REQUISITES]),
     (DEMO, &[TEST_REQUISITES]),
