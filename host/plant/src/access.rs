@@ -93,9 +93,9 @@ impl Users {
                 mode,
             });
         }
-        let (mut users, _) =
-            textfile::load_toml(path, MOST_BYTES, |users: &Self| users.hashed().map(|_| ()))?;
-        users.hashes = users.hashed().unwrap_or_default();
+        let (mut users, text): (Self, _) = textfile::load_toml(path, MOST_BYTES, |_| Ok(()))?;
+        let hashes = users.hashed();
+        users.hashes = hashes.map_err(|bad| bad.in_file(path, &text))?;
         Ok(users)
     }
 

@@ -1,7 +1,5 @@
 //! Connections of the page: how many at a time, and how long one may take to say what it wants.
 
-use std::io;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,14 +16,6 @@ const MOST_CONNECTIONS: usize = 1000;
 const HEADER_TIME: Duration = Duration::from_secs(10);
 /// Pause after a connection could not be accepted, for example for want of file descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
-
-/// Binds an address.
-///
-/// # Errors
-/// It is taken, or not of this machine.
-pub async fn bind(address: SocketAddr) -> io::Result<TcpListener> {
-    TcpListener::bind(address).await
-}
 
 /// Serves pages until the process ends.
 pub async fn serve(listener: TcpListener, routes: Router) -> anyhow::Result<()> {

@@ -30,6 +30,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use flankscope_record::seal::Seals;
+use tokio::net::TcpListener;
 
 use access::{Role, Users};
 use settings::Settings;
@@ -107,7 +108,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
             let users = Users::load(&of.users)?;
-            let listener = listener::bind(of.listen)
+            let listener = TcpListener::bind(of.listen)
                 .await
                 .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
             let address = listener.local_addr()?;
@@ -117,7 +118,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
             tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
         }
         if let Some(of) = &settings.modbus {
-            let listener = listener::bind(of.listen)
+            let listener = TcpListener::bind(of.listen)
                 .await
                 .with_context(|| format!("[modbus] listen = \"{}\"", of.listen))?;
             println!("modbus   {}", listener.local_addr()?);

@@ -60,14 +60,11 @@ pub fn text(standing: &Standing, now: Timestamp) -> Result<String, fmt::Error> {
     let checks: Family<Labels, Counter> = Family::default();
     registry.register("checks", "Stored checks by verdict", checks.clone());
 
+    let flag = |holds: bool| f64::from(u8::from(holds));
     let set = |family: &Gauges, labels: Labels, value: f64| {
         family.get_or_create(&labels).set(value);
     };
-    set(
-        &readable,
-        Vec::new(),
-        f64::from(u8::from(standing.fault.is_none())),
-    );
+    set(&readable, Vec::new(), flag(standing.fault.is_none()));
     for tool in &standing.tools {
         let last = &tool.last;
         let of = || {
@@ -79,19 +76,15 @@ pub fn text(standing: &Standing, now: Timestamp) -> Result<String, fmt::Error> {
         let with =
             |name, value: String| of().into_iter().chain([(name, value)]).collect::<Labels>();
         let counts = standing.worth(tool, now) == Worth::Counts;
-        set(&counts_now, of(), f64::from(u8::from(counts)));
-        set(&latched, of(), f64::from(u8::from(tool.latched.is_some())));
+        set(&counts_now, of(), flag(counts));
+        set(&latched, of(), flag(tool.latched.is_some()));
         set(&cycles, of(), last.tool_cycles as f64);
         if let Ok(stored) = last.at.parse::<Timestamp>() {
             set(&at, of(), stored.as_second() as f64);
         }
         for word in Word::ALL {
             let labels = with("verdict", word.as_str().into());
-            set(
-                &verdict,
-                labels.clone(),
-                f64::from(u8::from(word == last.verdict)),
-            );
+            set(&verdict, labels.clone(), flag(word == last.verdict));
             let count = tool.counts.iter().find(|(of, _)| *of == word);
             let counter = checks.get_or_create_owned(&labels);
             counter.inc_by(count.map_or(0, |(_, count)| *count));

@@ -15,7 +15,7 @@ use tokio_modbus::server::Service;
 use tokio_modbus::server::tcp::Server;
 use tokio_modbus::{ExceptionCode, Request, Response};
 
-use crate::standing::{Standing, Worth};
+use crate::standing::{Standing, Worth, most_worn};
 
 /// Registers, from address 0.
 const REGISTERS: usize = 10;
@@ -109,21 +109,17 @@ fn words(standing: &Standing, now: Timestamp, life: u16) -> [u16; REGISTERS] {
     };
     let last = &tool.last;
     let worth = standing.worth(tool, now);
-    let (bit, number) = match last.verdict {
+    let bit_and_number = |word| match word {
         Word::Go => (GO, 1),
         Word::Warn => (WARN, 2),
         Word::NoGo => (NO_GO, 3),
         Word::Indeterminate => (INDETERMINATE, 4),
     };
     if worth == Worth::Counts {
-        words[3] = number;
+        words[3] = bit_and_number(last.verdict).1;
     }
-    // A no-go stands however old it is; no other verdict does, and none beside a no-go that is latched.
-    words[0] |= match worth {
-        _ if tool.latched.is_some() || last.verdict == Word::NoGo => NO_GO,
-        Worth::Counts => bit,
-        Worth::Stale | Worth::Unknown => 0,
-    };
+    let stands = standing.verdict(tool, now);
+    words[0] |= stands.map_or(0, |word| bit_and_number(word).0);
     for (bit, holds) in [
         (LATCHED, tool.latched.is_some()),
         (SIMULATED, last.origin.simulated),
@@ -139,7 +135,7 @@ fn words(standing: &Standing, now: Timestamp, life: u16) -> [u16; REGISTERS] {
         words[at] = (number >> 16) as u16;
         words[at + 1] = number as u16;
     }
-    if let Some(flank) = tool.most_worn() {
+    if let Some(flank) = most_worn(last) {
         let tenths = |um: f64, from: f64, to: f64| (10.0 * um).round().clamp(from, to);
         if let Some(wear_um) = flank.wear_um {
             // Two's complement; the smallest value means none.

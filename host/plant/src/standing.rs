@@ -56,12 +56,15 @@ impl Standing {
             Some(_) => Worth::Counts,
         }
     }
-}
 
-impl ToolStanding {
-    /// The flank with the most wear.
-    pub fn most_worn(&self) -> Option<&FlankRow> {
-        most_worn(&self.last)
+    /// The verdict that stands for a tool now: a no-go however old it is, and while one is latched; every other verdict only while
+    /// it counts.
+    pub fn verdict(&self, tool: &ToolStanding, now: Timestamp) -> Option<Word> {
+        let verdict = tool.last.verdict;
+        if tool.latched.is_some() || verdict == Word::NoGo {
+            return Some(Word::NoGo);
+        }
+        (self.worth(tool, now) == Worth::Counts).then_some(verdict)
     }
 }
 

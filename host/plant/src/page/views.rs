@@ -6,9 +6,10 @@ use askama::Template;
 use flankscope_foundation::files::read_text;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::history::{Check, FlankRow};
+use flankscope_report::figure;
 use jiff::Timestamp;
 
-use crate::standing::{Standing, Worth};
+use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
 /// Largest page of a report, bytes.
 const MOST_REPORT: u64 = 4 << 20;
@@ -59,20 +60,16 @@ struct Tile {
 
 impl Board {
     pub fn new(standing: &Standing, now: Timestamp, acknowledges: bool) -> Self {
-        let tile = |of: &crate::standing::ToolStanding| {
+        let tile = |of: &ToolStanding| {
             let last = &of.last;
-            let worth = standing.worth(of, now);
             let age = standing
                 .age_s(of, now)
                 .map_or("at an unknown time".into(), ago);
-            let word = shown(last.verdict);
-            // Old or unreadable verdicts are shown as what they are; only a no-go stays one.
-            let (badge, word, not_counting) = match (worth, last.verdict) {
-                _ if of.latched.is_some() => ("no-go", shown(Word::NoGo), None),
-                (Worth::Counts, verdict) => (verdict.as_str(), word, None),
-                (_, Word::NoGo) => ("no-go", word, None),
-                (Worth::Stale, _) => ("old", "TOO OLD", Some(format!("last {word}, {age}"))),
-                (Worth::Unknown, _) => ("old", "UNKNOWN", Some(format!("last {word}, {age}"))),
+            let old = || Some(format!("last {}, {age}", shown(last.verdict)));
+            let (badge, word, not_counting) = match standing.verdict(of, now) {
+                Some(word) => (word.as_str(), shown(word), None),
+                None if standing.worth(of, now) == Worth::Stale => ("old", "TOO OLD", old()),
+                None => ("old", "UNKNOWN", old()),
             };
             Tile {
                 tool: last.tool.clone(),
@@ -85,7 +82,7 @@ impl Board {
                 age,
                 id: last.id,
                 reason: last.reason.clone(),
-                worst: of.most_worn().map(worn),
+                worst: most_worn(last).map(worn),
                 particulars: format!(
                     "station {} · head {} · {} press cycles",
                     last.origin.station, last.origin.head.name, last.tool_cycles
@@ -135,10 +132,9 @@ fn worn(flank: &FlankRow) -> String {
 }
 
 fn wear(flank: &FlankRow) -> String {
-    match (flank.wear_um, flank.u95_um) {
-        (Some(wear_um), Some(u95_um)) => format!("{wear_um:.1} ± {u95_um:.1}"),
-        (Some(wear_um), None) => format!("{wear_um:.1} ± –"),
-        (None, _) => "–".into(),
+    match flank.wear_um {
+        Some(_) => format!("{} ± {}", figure(flank.wear_um), figure(flank.u95_um)),
+        None => figure(None),
     }
 }
 
@@ -175,7 +171,7 @@ impl List {
     }
 
     fn most_worn(&self, check: &Check) -> String {
-        crate::standing::most_worn(check).map_or_else(
+        most_worn(check).map_or_else(
             || "–".into(),
             |flank| format!("{} {}", flank.id, wear(flank)),
         )
