@@ -72,7 +72,7 @@ impl Source {
     }
 
     /// Path of the history, if checks are stored.
-    fn store<'a>(&'a self, site: &'a Site) -> anyhow::Result<Option<&'a PathBuf>> {
+    pub fn store<'a>(&'a self, site: &'a Site) -> anyhow::Result<Option<&'a PathBuf>> {
         let store = self.history.as_ref();
         let store = store.or(site.settings.history.file.as_ref());
         anyhow::ensure!(

@@ -30,6 +30,7 @@ mod init_patches;
 mod inspect;
 mod instrument;
 mod interrupt;
+mod live;
 mod manual;
 mod merge;
 mod output;

@@ -10,10 +10,7 @@ use crate::output::say;
 pub struct Watcher {
     quiet: bool,
     start: Instant,
-    /// Names of the views.
-    names: Vec<String>,
-    /// The view that the head is at.
-    at: usize,
+    views: Steps,
 }
 
 impl Watcher {
@@ -22,17 +19,38 @@ impl Watcher {
         Self {
             quiet,
             start: Instant::now(),
-            names,
-            at: 0,
+            views: Steps::new(names),
         }
     }
 
     /// Prints a step.
     pub fn show(&mut self, progress: Progress) {
-        if self.quiet {
-            return;
+        let line = self.views.step(progress).filter(|_| !self.quiet);
+        if let Some(line) = line {
+            say(&format!(
+                "{:6.2} s  {line}",
+                self.start.elapsed().as_secs_f64()
+            ));
         }
-        let line = match progress {
+    }
+}
+
+/// Says what a run does now, with the names of its views.
+pub struct Steps {
+    names: Vec<String>,
+    /// The view that the head is at.
+    at: usize,
+}
+
+impl Steps {
+    /// `names` are those of the plan's views; views without a name are numbered.
+    pub fn new(names: Vec<String>) -> Self {
+        Self { names, at: 0 }
+    }
+
+    /// What begins with this progress, if anything that people follow does.
+    pub fn step(&mut self, progress: Progress) -> Option<String> {
+        Some(match progress {
             Progress::Connected => "controller answered".into(),
             Progress::Homing => "stages reference".into(),
             Progress::Planned(time) => format!("plan: {time}"),
@@ -47,7 +65,7 @@ impl Watcher {
             Progress::Exposed { frame: 0, of } => {
                 format!("LED on, {of} frames of {}", self.name(self.at))
             }
-            Progress::Exposed { .. } => return,
+            Progress::Exposed { .. } => return None,
             Progress::Recapture(view) => format!("{} is captured again", self.name(view)),
             Progress::Repeat(view) => format!(
                 "{} is too near to a limit and is measured again",
@@ -59,11 +77,7 @@ impl Watcher {
             ),
             Progress::Retracting => "head retracts".into(),
             Progress::Evaluated(view) => format!("{} evaluated", self.name(view)),
-        };
-        say(&format!(
-            "{:6.2} s  {line}",
-            self.start.elapsed().as_secs_f64()
-        ));
+        })
     }
 
     fn name(&self, view: usize) -> String {

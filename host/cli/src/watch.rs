@@ -10,7 +10,7 @@ use flankscope_foundation::date;
 use flankscope_foundation::display::plain;
 use flankscope_jobs::watch::{Checked, WatchEvent, WatchSettings};
 use flankscope_metrology::verdict::{Shown, Word};
-use flankscope_record::document::Inspection;
+use flankscope_record::document::{Inspection, live_socket};
 use flankscope_record::sink::LinesFile;
 use flankscope_report::{Pages, ReportFolder, figure};
 use serde_json::{Value, json};
@@ -20,6 +20,7 @@ use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
 use crate::interrupt;
+use crate::live::LiveWatch;
 use crate::output::{Common, Complaints, Outcome, say, try_report};
 use crate::terminal::Terminal;
 
@@ -81,6 +82,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let acknowledged = acknowledgements();
     let mut log = Log::new(args, papers);
+    let mut live = args.source.store(&site)?.and_then(|history| {
+        let (tool, views) = (instrument.job.die().tool, instrument.job.view_names());
+        let opened = LiveWatch::open(history, setting, tool, views, args.every);
+        opened
+            .inspect_err(|error| {
+                log.say(&format!(
+                    "nobody can look on ({}): {error}",
+                    live_socket(history).display()
+                ));
+            })
+            .ok()
+    });
     if setting.link.is_simulated() {
         log.say(SIMULATED);
     }
@@ -90,8 +103,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &settings,
         writer.as_mut(),
         &acknowledged,
-        |told| log.take(told),
+        |told| {
+            if let Some(live) = &mut live {
+                live.take(&told);
+            }
+            log.take(told)
+        },
     )?;
+    drop(live);
     if interrupt::is_requested() {
         say(&format!(
             "interrupted after {} checks; verdicts are no longer sent, which the press treats as no-go",
@@ -182,6 +201,11 @@ impl<'a> Log<'a> {
             WatchEvent::Checking(cycle) => {
                 self.say(&format!("cycle {cycle}: press held, checking"))
             }
+            WatchEvent::Step(_) => {}
+            WatchEvent::Expired(shown) => self.say(&format!(
+                "no check for twice the interval: the press is shown {}",
+                shown.word()
+            )),
             WatchEvent::Missed(cycle, fault) => {
                 *self.missed.entry(fault.to_string()).or_default() += 1;
                 self.say(&format!(

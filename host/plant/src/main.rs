@@ -6,17 +6,21 @@
 //! | `settings` | `plant.toml` |
 //! | `access` | who may see the page: names and hashes of their tokens |
 //! | `history` | the history's file, kept open |
+//! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
 //! | `standing` | what stands for every tool: last verdict, its age, whether it counts |
+//! | `live` | what a watch does now, from its socket |
 //! | `listener` | connections: how many, and how long their headers may take |
 //! | `page` | routes of the page |
 //! | `metrics` | Prometheus' text |
 //! | `modbus` | registers for a line controller |
 
 mod access;
+mod demo_line;
 mod follow;
 mod history;
 mod listener;
+mod live;
 mod metrics;
 mod modbus;
 mod page;
@@ -33,6 +37,7 @@ use flankscope_record::seal::Seals;
 use tokio::net::TcpListener;
 
 use access::{Role, Users};
+use demo_line::DemoLine;
 use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
@@ -53,6 +58,8 @@ enum Command {
         #[arg(value_name = "PLANT.toml")]
         settings: PathBuf,
     },
+    /// Show a simulated line: a press whose die wears, a watch over it, and the page; ends with Ctrl-C and leaves nothing
+    DemoLine,
     /// Write an example of the settings file to standard output
     Example,
     /// Give a person or a program a token for the page; it is printed once, the file keeps its hash
@@ -86,6 +93,12 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     match &args.command {
         Command::Serve { settings } => serve(&Settings::load(settings)?),
+        Command::DemoLine => {
+            let (line, settings, token) = DemoLine::start()?;
+            println!("token    {token}");
+            println!("folder   {}", line.folder().display());
+            serve(&settings)
+        }
         Command::Example => {
             print!("{}", settings::EXAMPLE);
             Ok(())
@@ -113,7 +126,8 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
                 .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
             let address = listener.local_addr()?;
             let names = (address, of.name.as_deref());
-            let site = page::Site::new(settings, names, users, seals, standing.clone());
+            let live = live::follow(&settings.history)?;
+            let site = page::Site::new(settings, names, users, seals, (standing.clone(), live));
             println!("page     http://{address}/");
             tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
         }

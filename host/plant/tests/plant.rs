@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 
 use flankscope_tests::{flankscope, run, state};
 
-const ROUTES: [&str; 9] = [
+const ROUTES: [&str; 10] = [
     "/",
     "/board",
+    "/now",
     "/events",
     "/checks",
     "/checks/1",
@@ -160,13 +161,18 @@ impl Plant {
 
     /// The board, once it shows this.
     fn board_with(&self, wanted: &str) -> String {
+        self.page_with("/board", wanted)
+    }
+
+    /// A page, once it shows this.
+    fn page_with(&self, path: &str, wanted: &str) -> String {
         let end = Instant::now() + Duration::from_secs(30);
         loop {
-            let board = self.with_token("/board").text;
-            if board.contains(wanted) {
-                return board;
+            let page = self.with_token(path).text;
+            if page.contains(wanted) {
+                return page;
             }
-            assert!(Instant::now() < end, "no {wanted} in {board}");
+            assert!(Instant::now() < end, "no {wanted} in {page}");
             std::thread::sleep(Duration::from_millis(200));
         }
     }
@@ -282,6 +288,7 @@ fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
 fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     let station = Station::new(3600);
     let plant = station.serve();
+    plant.page_with("/now", "No watch is running");
     let mut watch = flankscope();
     watch.args([
         "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "12", "--cycles",
@@ -302,6 +309,17 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
         assert!(found, "the watch ended without: {wanted}");
     };
     heard("no-go stays until it is acknowledged");
+    // What the watch does, its last steps and pictures.
+    let now = plant.page_with("/now", "40 left: deviation");
+    for part in [
+        "demo die",
+        "shown <strong>no-go<",
+        "head moves to",
+        "camera frame",
+        "data:image/png;base64,",
+    ] {
+        assert!(now.contains(part), "no {part} in {now}");
+    }
     let standing = |plant: &Plant| -> u32 {
         let board = plant.board_with("is not acknowledged");
         let check = board.split("name=\"check\" value=\"").nth(1).unwrap();
@@ -333,6 +351,7 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     assert!(accepted);
     heard("acknowledged: the next check decides anew");
     drop(watch);
+    plant.page_with("/now", "No watch is running");
     let history = run(flankscope()
         .arg("history")
         .arg(station.history())

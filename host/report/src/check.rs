@@ -7,12 +7,14 @@ use flankscope_metrology::verdict::{Code, Word};
 
 use super::{Fact, Words, chart, colour, facts, limits_um, numbered, ring};
 use flankscope_profilometry::Picture;
-use flankscope_record::document::{FlankInView, FlankMap, Inspection};
+use flankscope_record::document::{FlankInView, FlankMap, Inspection, LivePicture};
 
 /// Pixels per millimetre of a map on the page.
 pub(super) const PX_PER_MM: f64 = 30.0;
 /// Largest width of the raw frame on the page, px: it is for viewing, not for measurement.
 pub(super) const FRAME_WIDTH: usize = 480;
+/// Width of a frame on a live display, pixels of the screen.
+const LIVE_FRAME_WIDTH: f64 = 240.0;
 
 #[derive(Template)]
 #[template(path = "report.html")]
@@ -83,6 +85,28 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         max_abs_um: full_um,
     };
     page.render()
+}
+
+/// The maps and frames of a check as a live display shows them.
+#[must_use]
+pub fn live_pictures(inspection: &Inspection) -> Vec<LivePicture> {
+    let full_um = full_scale_um(inspection);
+    let maps = inspection.pictures.maps.iter().map(|map| LivePicture {
+        caption: format!("{}: deviation, \u{b1}{full_um:.0} \u{b5}m", map.id),
+        image: cells_as_picture(map.columns, &map.deviation_um, full_um),
+        size_px: map.size_mm.map(|mm| mm * PX_PER_MM),
+    });
+    let frames = thumbnails(&inspection.pictures.frames).into_iter();
+    let frames = frames.zip(&inspection.pictures.frames);
+    let frames = frames.map(|((name, image), (_, frame))| {
+        let width = LIVE_FRAME_WIDTH;
+        LivePicture {
+            caption: format!("{name}: camera frame"),
+            image,
+            size_px: [width, width * frame.height as f64 / frame.width as f64],
+        }
+    });
+    maps.chain(frames).collect()
 }
 
 /// Entries below the title of a check.

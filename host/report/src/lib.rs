@@ -25,7 +25,7 @@ mod trend_chart;
 mod words;
 
 pub use artwork::artwork_svg;
-pub use check::html;
+pub use check::{html, live_pictures};
 pub use comparison::comparison_html;
 pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::inspection::{InspectError, ViewOutcome};
 use crate::job::{Job, Source, connect, runtime};
-use flankscope_instrument::acquisition::AcquisitionError;
+use flankscope_instrument::acquisition::{AcquisitionError, Progress};
 use flankscope_instrument::controller::{Client, ClientError, ClientSettings};
 use flankscope_record::document::Inspection;
 use flankscope_record::history::{HistoryError, HistoryWriter, Hold};
@@ -56,12 +56,16 @@ pub enum WatchEvent {
     Cycle(u32),
     /// The press is held for a check.
     Checking(u32),
+    /// The check goes on.
+    Step(Progress),
     /// The press did not let the head in at this cycle, for this reason.
     Missed(u32, FaultCode),
     /// A check has ended.
     Checked(Box<Checked>),
     /// The watch continues an earlier one; this verdict is still shown.
     Resumed(Shown),
+    /// No check was made for twice the interval: this is shown from now on instead of a go.
+    Expired(Shown),
     /// A verdict was acknowledged.
     Acknowledged,
     /// An acknowledgement could not be stored, and does not count.
@@ -226,6 +230,12 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         if since >= self.settings.every.saturating_mul(2) && self.latch.shown().is_go() {
             self.latch.expire();
             self.next_refresh = Instant::now();
+            if self
+                .tell(WatchEvent::Expired(self.latch.shown()))
+                .is_break()
+            {
+                return Ok(ControlFlow::Break(()));
+            }
         }
         let due = since >= self.settings.every || self.latch.shown() == Shown::Unchecked;
         if opened && due {
@@ -292,9 +302,14 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         };
         let hold_limit = Some(self.settings.hold_limit);
         let source = Source::Live(&mut self.client);
+        // A check that has begun is ended, whatever the caller answers.
+        let tell = &mut self.tell;
+        let mut step = |progress| {
+            tell(WatchEvent::Step(progress));
+        };
         let check = self
             .job
-            .check(source, hold_limit, &mut self.writer, &mut |_| {})
+            .check(source, hold_limit, &mut self.writer, &mut step)
             .await;
         let inspection = match check {
             // The press closed before the command arrived: the check is made at the next opening.

@@ -36,6 +36,7 @@ use tokio_stream::{Stream, StreamExt};
 
 use crate::access::{Role, User, Users};
 use crate::history::HistoryFile;
+use crate::live::Live;
 use crate::metrics;
 use crate::settings::Settings;
 use crate::standing::Standing;
@@ -58,6 +59,7 @@ pub struct Site {
     names: Names,
     reports: Option<PathBuf>,
     standing: watch::Receiver<Arc<Standing>>,
+    live: watch::Receiver<Live>,
     /// The history, for acknowledgements.
     path: PathBuf,
     seals: Seals,
@@ -72,13 +74,14 @@ impl Site {
         (address, name): (std::net::SocketAddr, Option<&str>),
         users: Users,
         seals: Seals,
-        standing: watch::Receiver<Arc<Standing>>,
+        (standing, live): (watch::Receiver<Arc<Standing>>, watch::Receiver<Live>),
     ) -> Self {
         Self {
             users,
             names: Names::new(address, name),
             reports: settings.reports.clone(),
             standing,
+            live,
             path: settings.history.clone(),
             seals: seals.clone(),
             history: Mutex::new(HistoryFile::new(&settings.history, seals)),
@@ -170,6 +173,7 @@ pub fn routes(site: Arc<Site>) -> Router {
     let with_token = Router::new()
         .route("/", get(home))
         .route("/board", get(board))
+        .route("/now", get(now))
         .route("/events", get(events))
         .route("/checks", get(checks))
         .route("/checks/{id}", get(check))
@@ -238,11 +242,21 @@ type Shown = Result<Html<String>, Failed>;
 
 async fn home(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
     let board = board_now(&site, &user)?;
-    Ok(Html(views::Home { board }.render()?))
+    let now = now_of(&site)?;
+    Ok(Html(views::Home { board, now }.render()?))
 }
 
 async fn board(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
     Ok(Html(board_now(&site, &user)?))
+}
+
+async fn now(State(site): State<Arc<Site>>) -> Shown {
+    Ok(Html(now_of(&site)?))
+}
+
+fn now_of(site: &Site) -> Result<String, askama::Error> {
+    let live = site.live.borrow().clone();
+    views::Now::new(&live).render()
 }
 
 fn board_now(site: &Site, user: &User) -> Result<String, askama::Error> {
@@ -250,14 +264,17 @@ fn board_now(site: &Site, user: &User) -> Result<String, askama::Error> {
     Board::new(&site.standing.borrow(), Timestamp::now(), acknowledges).render()
 }
 
-/// A line at every change, and at least every [`TICK`]: the page then asks for the board, whose ages have changed.
+/// A line at every change, and at least every [`TICK`]: the page then asks for the board, whose ages have changed, or for what the
+/// watch does now.
 async fn events(
     State(site): State<Arc<Site>>,
 ) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
     let changes = WatchStream::new(site.standing.clone()).map(|_| "changed");
+    let live = WatchStream::new(site.live.clone()).map(|_| "live");
     let ticks = IntervalStream::new(interval(TICK)).map(|_| "tick");
     Sse::new(
         changes
+            .merge(live)
             .merge(ticks)
             .map(|what| Ok(Event::default().data(what))),
     )

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use askama::Template;
 use flankscope_foundation::files::read_text;
 use flankscope_metrology::verdict::Word;
+use flankscope_record::document::{LivePicture, LiveState};
 use flankscope_record::history::{Check, FlankRow};
 use flankscope_report::figure;
 use jiff::Timestamp;
 
+use crate::live::Live;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
 /// Largest page of a report, bytes.
@@ -27,6 +29,43 @@ pub struct Login<'a> {
 #[template(path = "home.html")]
 pub struct Home {
     pub board: String,
+    pub now: String,
+}
+
+/// What a watch does now.
+#[derive(Template)]
+#[template(path = "now.html")]
+pub struct Now<'a> {
+    state: Option<&'a LiveState>,
+    /// Steps of the check, with their seconds and their lengths as shares of the whole, percent.
+    steps: Vec<Step<'a>>,
+    pictures: &'a [LivePicture],
+}
+
+struct Step<'a> {
+    at_s: f64,
+    share: f64,
+    what: &'a str,
+}
+
+impl<'a> Now<'a> {
+    pub fn new(live: &'a Live) -> Self {
+        let state = live.state.as_deref();
+        let steps = state.map_or(&[][..], |state| &state.steps);
+        let whole_ms = steps.last().map_or(1, |last| last.at_ms.max(1));
+        let ends_ms = steps.iter().skip(1).map(|next| next.at_ms);
+        let steps = steps.iter().zip(ends_ms.chain([whole_ms]));
+        let steps = steps.map(|(step, end_ms)| Step {
+            at_s: step.at_ms as f64 / 1000.0,
+            share: 100.0 * end_ms.saturating_sub(step.at_ms) as f64 / whole_ms as f64,
+            what: &step.what,
+        });
+        Self {
+            state,
+            steps: steps.collect(),
+            pictures: &live.pictures,
+        }
+    }
 }
 
 /// What stands for every tool.

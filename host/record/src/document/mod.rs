@@ -8,6 +8,7 @@
 //! | `feature_id` | the flank or patch that a figure is of |
 //! | `flank_in_view` | a flank that was in view but not requested |
 //! | `identity` | how the teeth were numbered: by the operator or by the baseline |
+//! | `live` | what a watch says while it runs |
 //! | `scan` | the JSON document of a scan, and the data of its report's pictures |
 //! | `setup` | the live view for setting up the head |
 
@@ -17,6 +18,7 @@ mod evidence;
 mod feature_id;
 mod flank_in_view;
 mod identity;
+mod live;
 pub mod scan;
 mod setup;
 
@@ -29,6 +31,7 @@ pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, Recorded
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
 pub use identity::{IdentifiedBy, ToothIdentity};
+pub use live::{LiveLine, LivePicture, LiveState, LiveStep, MOST_LIVE_BYTES, live_socket};
 pub use setup::{
     ExpectedByHead, ExposureLevels, LostCapture, ProposedExposures, SetupCapture, SetupView,
 };
