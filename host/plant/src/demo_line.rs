@@ -1,5 +1,6 @@
 //! A line to show to a visitor: a simulated press whose die wears, a watch over it, and the page, in a folder that goes with it.
 
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
@@ -44,6 +45,10 @@ impl DemoLine {
         let settings = Settings::load(&plant)?;
         let watch = Command::new(instrument())
             .args(["watch", "--link", "sim", "--every", "5", "--quiet"])
+            // Should this process be killed, the watch ends with the visit.
+            .args(["--cycles", "3600"])
+            // A Ctrl-C at the terminal reaches it once, from this process.
+            .process_group(0)
             // A warning after some minutes, a no-go after some more.
             .args(["--wear-rate", "40:left:0.8"])
             .arg("--history")

@@ -35,6 +35,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use flankscope_record::seal::Seals;
 use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
 
 use access::{Role, Users};
 use demo_line::DemoLine;
@@ -118,6 +119,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         .enable_all()
         .build()?;
     runtime.block_on(async {
+        let mut terminate = signal(SignalKind::terminate())?;
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
             let users = Users::load(&of.users)?;
@@ -144,6 +146,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
                 None => Ok(()),
             },
             stopped = tokio::signal::ctrl_c() => Ok(stopped?),
+            _ = terminate.recv() => Ok(()),
         }
     })
 }

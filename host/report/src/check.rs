@@ -92,7 +92,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
 pub fn live_pictures(inspection: &Inspection) -> Vec<LivePicture> {
     let full_um = full_scale_um(inspection);
     let maps = inspection.pictures.maps.iter().map(|map| LivePicture {
-        caption: format!("{}: deviation, \u{b1}{full_um:.0} \u{b5}m", map.id),
+        caption: format!("{} \u{b1}{full_um:.0} \u{b5}m", map.id),
         image: cells_as_picture(map.columns, &map.deviation_um, full_um),
         size_px: map.size_mm.map(|mm| mm * PX_PER_MM),
     });
