@@ -293,6 +293,9 @@ fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
         .with_token(&format!("/reports/{}", report.unwrap()))
         .text;
     assert!(report.contains("How the deviations of the inspected zones are spread"));
+    assert!(plant.with_token("/").text.contains("/reports/map3d.html"));
+    let map3d = plant.with_token("/reports/map3d.html").text;
+    assert!(map3d.contains("webgl2"));
     let trend = plant.with_token("/trend?tool=demo%20die").text;
     assert!(trend.contains("40 left"), "{trend}");
     let document = plant.with_token("/checks/2/document").text;

@@ -243,7 +243,16 @@ type Shown = Result<Html<String>, Failed>;
 async fn home(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
     let board = board_now(&site, &user)?;
     let now = now_of(&site)?;
-    Ok(Html(views::Home { board, now }.render()?))
+    let has_map3d = match &site.reports {
+        Some(folder) => tokio::fs::try_exists(views::map3d(folder)).await,
+        None => Ok(false),
+    };
+    let home = views::Home {
+        board,
+        now,
+        has_map3d: has_map3d.unwrap_or(false),
+    };
+    Ok(Html(home.render()?))
 }
 
 async fn board(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {

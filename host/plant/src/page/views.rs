@@ -1,6 +1,6 @@
 //! What the templates show.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use askama::Template;
 use flankscope_foundation::files::read_text;
@@ -13,6 +13,8 @@ use jiff::Timestamp;
 use crate::live::Live;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
+/// Name of the newest check's maps in space.
+const MAP3D: &str = "map3d.html";
 /// Largest page of a report, bytes.
 const MOST_REPORT: u64 = 4 << 20;
 
@@ -30,6 +32,8 @@ pub struct Login<'a> {
 pub struct Home {
     pub board: String,
     pub now: String,
+    /// Whether there are maps in space.
+    pub has_map3d: bool,
 }
 
 /// What a watch does now.
@@ -252,13 +256,21 @@ pub async fn report_of(folder: PathBuf, id: i64) -> Option<String> {
     tokio::task::spawn_blocking(find).await.ok()?
 }
 
+/// The newest check's maps in space, in a folder of reports.
+pub fn map3d(folder: &Path) -> PathBuf {
+    folder.join(MAP3D)
+}
+
 /// A page in a folder of reports.
 pub async fn report_page(folder: PathBuf, name: String) -> Option<String> {
     if !is_page(&name) {
         return None;
     }
     let read = move || {
-        let path = folder.join("reports").join(name);
+        let path = match name.as_str() {
+            MAP3D => map3d(&folder),
+            _ => folder.join("reports").join(name),
+        };
         (std::fs::metadata(&path).ok()?.len() <= MOST_REPORT).then(|| read_text(&path).ok())?
     };
     tokio::task::spawn_blocking(read).await.ok()?
