@@ -67,6 +67,8 @@ struct Groove {
     read_mm: f64,
     /// Wear of what lies on either side, mm.
     level_mm: f64,
+    /// It has the rim of the zone for one side.
+    is_at_rim: bool,
 }
 
 /// Light would come back from an opening without a visible floor from this much deeper than it does from a groove whose floor counts as
@@ -215,6 +217,7 @@ impl Field {
                     run,
                     read_mm,
                     level_mm,
+                    is_at_rim,
                 }) = self.groove(cell, step, noise_scale)
                 else {
                     continue;
@@ -228,6 +231,12 @@ impl Field {
                 if FLOOR_SEEN * reached_mm(&near, level_mm) * slant < width_mm {
                     continue;
                 }
+                // Of a wall on the rim half of the points may lie outside of the zone.
+                let width_mm = if is_at_rim {
+                    2f64.sqrt() * width_mm
+                } else {
+                    width_mm
+                };
                 let share = width_mm / cell_mm / run.len() as f64;
                 let unseen = Unseen::opening(share, width_mm, level_mm.max(0.0));
                 for of in run {
@@ -319,6 +328,15 @@ impl Field {
         rows.flat_map(move |row| columns.clone().map(move |c| row * across + c))
     }
 
+    /// Whether the zone has a cell so many columns and rows from `cell`.
+    fn has(&self, cell: usize, [across, up]: [isize; 2]) -> bool {
+        let within = |at: usize, by: isize, count: usize| {
+            at.checked_add_signed(by).is_some_and(|there| there < count)
+        };
+        within(cell % self.columns, across, self.columns)
+            && within(cell / self.columns, up, self.rows)
+    }
+
     /// The groove across which `cell` is the deepest going by `step`. None where there is none, or a wider one, or a step from one
     /// level to another.
     fn groove(&self, cell: usize, [across, up]: [isize; 2], noise_scale: f64) -> Option<Groove> {
@@ -332,14 +350,27 @@ impl Field {
         // Beyond a groove of two cells wherever it lies; near the zone's rim the last cell that there is, but not slantwise, where
         // a corner would cut a wider groove in two.
         let nearest = if across * up == 0 { 1 } else { GROOVE_SIDE };
-        let side = |sign: isize| (nearest..=GROOVE_SIDE).rev().find_map(|k| at(sign * k));
-        let (before, behind) = (side(-1)?, side(1)?);
-        let [low, level_mm] = {
-            let [a, b] = [before, behind].map(|c| self.wear_mm[c]);
-            [a.min(b), a.max(b)]
+        let level = |c: usize| (self.wear_mm[c], self.variance_mm2[c]);
+        let side = |sign: isize| {
+            let mut cells = (nearest..=GROOVE_SIDE).rev();
+            cells.find_map(|k| at(sign * k)).map(level)
         };
+        // An opening along the rim has one side. Beyond the rim the surface is supposed to go on as it slopes there.
+        let beyond_rim = |sign: isize| {
+            let is_rim = across * up == 0 && !self.has(cell, [sign * across, sign * up]);
+            let [near, far] = [GROOVE_SIDE, 2 * GROOVE_SIDE].map(|k| at(-sign * k).map(level));
+            let (near, far) = (near.filter(|_| is_rim)?, far.or(near)?);
+            Some((2.0 * near.0 - far.0, 4.0 * near.1 + far.1))
+        };
+        let sides = [side(-1), side(1)];
+        let (before, behind) = (
+            sides[0].or_else(|| beyond_rim(-1))?,
+            sides[1].or_else(|| beyond_rim(1))?,
+        );
+        let low = before.0.min(behind.0);
+        let level_mm = before.0.max(behind.0);
         let depth_mm = self.wear_mm[cell] - level_mm;
-        let beside_mm2 = self.variance_mm2[before].max(self.variance_mm2[behind]);
+        let beside_mm2 = before.1.max(behind.1);
         let noise_mm = noise_scale * (self.variance_mm2[cell] + beside_mm2).sqrt();
         // Comparisons with NaN are false: no groove. Beside a step there is a ripple; what its wall hides the rays tell.
         if !(depth_mm > GROOVE_SIGMAS * noise_mm && depth_mm > level_mm - low) {
@@ -357,6 +388,7 @@ impl Field {
                 run: most.map(|(c, _)| *c).collect(),
                 read_mm,
                 level_mm,
+                is_at_rim: sides.contains(&None),
             }
         })
     }

@@ -153,6 +153,17 @@ pub(crate) mod tests {
         slant: f64,
         seed: u64,
     ) -> FlankWear {
+        looked_at_in_rows(depth_mm, size_mm, slant, seed, |row| 0.5 * (row % 2) as f64)
+    }
+
+    /// The same; `row_shift` says by which share of the distance between two rays a row begins later.
+    fn looked_at_in_rows(
+        depth_mm: impl Fn([f64; 2]) -> f64,
+        size_mm: [f64; 2],
+        slant: f64,
+        seed: u64,
+        row_shift: impl Fn(u64) -> f64,
+    ) -> FlankWear {
         let settings = WearSettings::default();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
         let mut counts = RayCounts::new(empty.wear_mm.len());
@@ -164,7 +175,7 @@ pub(crate) mod tests {
         for ray in 0..columns * rows {
             let (column, row) = (ray % columns, ray / columns);
             let jitter = |k: u64| 0.2 * (uniform(seed, 2 * ray + k) - 0.5);
-            let shifted = 0.5 * (row % 2) as f64;
+            let shifted = row_shift(row);
             let x = (column as f64 + shifted + jitter(0)) * RAYS_MM[0] - 1.9;
             let y = (row as f64 + 0.5 + jitter(1)) * RAYS_MM[1];
             if let Some(cell) = empty.cell_at([x, y]) {
@@ -270,6 +281,56 @@ pub(crate) mod tests {
                 ("flat", looked_at(|_| 0.0, SIZE_MM, slant, 10)),
                 ("bowl", looked_at(bowl, SIZE_MM, slant, 11)),
                 ("slope", looked_at(|[_, y]| 0.01 * y, SIZE_MM, slant, 12)),
+            ] {
+                assert_eq!(flagged(&wear), 0.0, "{name} at {slant}");
+            }
+        }
+    }
+
+    /// Width that the cells' unseen parts add up to across the height, mm: the mean over all heights.
+    fn unseen_width_mm(wear: &FlankWear) -> f64 {
+        let scale = wear.field.noise_scale();
+        let view = &wear.measured.views[0];
+        let discs = Discs::new(&wear.field, &view.samples, WearSettings::default().area_mm2);
+        let unseen = of_cells(&discs, view.visibility.as_ref(), scale);
+        let shares: f64 = unseen.iter().map(|of| of.share).sum();
+        shares * wear.field.cell_mm[0] / wear.field.rows as f64
+    }
+
+    #[test]
+    fn an_opening_along_the_rim_of_the_zone_is_found_as_one_inside_is() {
+        let opening = |from: f64, width: f64| {
+            move |[x, _]: [f64; 2]| {
+                if (from..from + width).contains(&x) {
+                    0.4
+                } else {
+                    0.0
+                }
+            }
+        };
+        // No two rows alike, as on a flank that the rows of cores cross slantwise: else a few rays tell all depths.
+        let golden = |row: u64| (0.618 * row as f64).fract();
+        for slant in [1.7, 2.9] {
+            let width = 0.1;
+            for from in [0.0, 0.82, SIZE_MM[0] - width] {
+                let opened = opening(from, width);
+                let wear = looked_at_in_rows(opened, SIZE_MM, slant, 21, golden);
+                let found = unseen_width_mm(&wear);
+                // An opening of which every other part escapes counts by half.
+                assert!(found > 0.5 * width, "from {from} at {slant}: {found}");
+            }
+            // A rim that is worn, rounded or stepped, is seen to its depth.
+            let rounded = |[x, _]: [f64; 2]| 0.03 * (1.0 - x / 0.2).max(0.0).powi(2);
+            let stepped = |[x, _]: [f64; 2]| if x > SIZE_MM[0] - 0.1 { 0.01 } else { 0.0 };
+            for (name, wear) in [
+                (
+                    "rounded",
+                    looked_at_in_rows(rounded, SIZE_MM, slant, 22, golden),
+                ),
+                (
+                    "stepped",
+                    looked_at_in_rows(stepped, SIZE_MM, slant, 23, golden),
+                ),
             ] {
                 assert_eq!(flagged(&wear), 0.0, "{name} at {slant}");
             }
