@@ -160,8 +160,8 @@ impl Settings {
         let mqtt = self.mqtt.as_ref();
         let broker = mqtt.map(|mqtt| &mqtt.broker);
         let is_tls = mqtt.is_none_or(|mqtt| mqtt.ca.is_some() || mqtt.broker.is_loopback());
-        let name = mqtt.map(|mqtt| &mqtt.name);
-        let group = mqtt.and_then(|mqtt| mqtt.group.as_ref());
+        let name = mqtt.map(|mqtt| mqtt.name.as_str());
+        let group = mqtt.and_then(|mqtt| mqtt.group.as_deref());
         let stale = self.stale_after_s;
         textfile::require(&[
             (
@@ -215,7 +215,7 @@ impl Settings {
 /// What is one level of a topic and a client's name at any broker.
 const TOPIC_WORD: &str = "must be 1 to 64 letters, digits, - . _";
 
-fn is_topic_word(name: &String) -> bool {
+fn is_topic_word(name: &str) -> bool {
     let is_letter = |c: u8| c.is_ascii_alphanumeric() || b"-._".contains(&c);
     (1..=64).contains(&name.len()) && name.bytes().all(is_letter)
 }

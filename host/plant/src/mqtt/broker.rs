@@ -116,7 +116,10 @@ impl Broker {
         let packet = packets::publish(self.version, message, pid)?;
         within("publish", async {
             self.send(&packet).await?;
-            while message.acknowledged {
+            if !message.acknowledged {
+                return Ok(());
+            }
+            loop {
                 match self.hear().await? {
                     Said::Published(of, answer) if of == pid.value() => {
                         return refused(&message.topic, answer);
@@ -124,7 +127,6 @@ impl Broker {
                     _ => {}
                 }
             }
-            Ok(())
         })
         .await
     }

@@ -16,7 +16,7 @@ use crate::standing::{Standing, ToolStanding, Worth};
 #[derive(Debug)]
 pub struct Json {
     station: String,
-    /// What was last said of every tool, and whether the history could be read.
+    /// What was last said under every topic.
     said: BTreeMap<String, Vec<u8>>,
 }
 
@@ -104,6 +104,13 @@ impl Json {
             let topic = format!("{}/state", topic_word(&tool.last.tool));
             (topic, text(&state(standing, tool, now)))
         }));
+        if standing.fault.is_some() {
+            let states = self
+                .said
+                .iter()
+                .filter(|(topic, _)| topic.ends_with("/state"));
+            current.extend(states.map(|(topic, state)| (topic.clone(), withdrawn(state))));
+        }
         let mut changes = Vec::new();
         for (topic, payload) in current {
             if self.said.get(&topic) != Some(&payload) {
@@ -148,6 +155,16 @@ fn state<'a>(standing: &Standing, tool: &'a ToolStanding, now: Timestamp) -> Sta
             .and_then(|at| at.checked_add(age).ok())
             .map(|until| until.to_string()),
     }
+}
+
+/// A state of which nothing is known any more: a no-go stands nevertheless.
+fn withdrawn(state: &[u8]) -> Vec<u8> {
+    let mut state: serde_json::Value = serde_json::from_slice(state).unwrap_or_default();
+    state["worth"] = "unknown".into();
+    if state["verdict"] != Word::NoGo.as_str() {
+        state["verdict"] = serde_json::Value::Null;
+    }
+    text(&state)
 }
 
 fn text(message: &impl Serialize) -> Vec<u8> {

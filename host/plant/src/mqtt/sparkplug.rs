@@ -13,7 +13,7 @@ use super::topic_word;
 use crate::standing::{Standing, ToolStanding, Worth};
 
 /// Metric by which a host asks for all births.
-pub const REBIRTH: &str = "Node Control/Rebirth";
+const REBIRTH: &str = "Node Control/Rebirth";
 
 const INT32: u32 = 3;
 const INT64: u32 = 4;
