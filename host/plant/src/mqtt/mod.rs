@@ -217,13 +217,14 @@ impl Sender {
                 .history
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner);
-            let next = next_in(&mut file, &delivered);
-            if next.is_err() {
+            next_in(&mut file, &delivered).unwrap_or_else(|error| {
+                // The connection stays: over it everybody hears, within a second, that the history cannot be read.
+                tracing::warn!("mqtt: {error}");
                 file.close();
-            }
-            next
+                None
+            })
         };
-        Ok(tokio::task::spawn_blocking(read).await??)
+        Ok(tokio::task::spawn_blocking(read).await?)
     }
 }
 
