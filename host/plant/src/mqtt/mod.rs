@@ -239,8 +239,15 @@ fn next_in(
         Ok((check, id))
     };
     // Another history stands here, or an older copy of this one: all of it is sent, and receivers know what they have.
-    let is_same =
-        delivered.number == 0 || read(delivered.number).is_ok_and(|(_, id)| id == delivered.id);
+    let is_same = match delivered.number {
+        0 => true,
+        number => match read(number) {
+            Ok((_, id)) => id == delivered.id,
+            Err(HistoryError::NoSuchCheck { .. }) => false,
+            // A disk that fails says nothing about whose history it is.
+            Err(error) => return Err(error),
+        },
+    };
     if !is_same {
         tracing::warn!(
             "mqtt: check {} is not the one that was delivered; this history is sent from its first check",
