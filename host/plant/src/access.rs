@@ -79,20 +79,7 @@ impl Users {
     }
 
     fn read(path: &Path) -> Result<Self, UsersError> {
-        let mode = std::fs::metadata(path)
-            .map_err(|source| UsersError::Io {
-                path: path.into(),
-                source,
-            })?
-            .permissions()
-            .mode()
-            & 0o777;
-        if mode & 0o077 != 0 {
-            return Err(UsersError::Open {
-                path: path.into(),
-                mode,
-            });
-        }
+        require_private(path)?;
         let (mut users, text): (Self, _) = textfile::load_toml(path, MOST_BYTES, |_| Ok(()))?;
         let hashes = users.hashed();
         users.hashes = hashes.map_err(|bad| bad.in_file(path, &text))?;
@@ -162,5 +149,24 @@ impl Users {
             }
         }
         found
+    }
+}
+
+/// Refuses a file of secrets that others can read or write.
+///
+/// # Errors
+/// They can, or it is not there.
+pub fn require_private(path: &Path) -> Result<(), UsersError> {
+    let meta = std::fs::metadata(path).map_err(|source| UsersError::Io {
+        path: path.into(),
+        source,
+    })?;
+    let mode = meta.permissions().mode() & 0o777;
+    match mode & 0o077 {
+        0 => Ok(()),
+        _ => Err(UsersError::Open {
+            path: path.into(),
+            mode,
+        }),
     }
 }

@@ -33,9 +33,8 @@ pub fn follow(
     thread::Builder::new()
         .name("follow".into())
         .spawn(move || {
-            let mut commits = 0;
             while !publish.is_closed() {
-                let seen = look(&mut file, &mut commits).unwrap_or_else(|error| {
+                let seen = look(&mut file).unwrap_or_else(|error| {
                     file.close();
                     Some(Standing {
                         fault: Some(error.to_string().into()),
@@ -61,21 +60,10 @@ pub fn follow(
     Ok(standing)
 }
 
-/// What stands, if it may have changed since `commits` was read.
-fn look(file: &mut HistoryFile, commits: &mut i64) -> Result<Option<Standing>, HistoryError> {
-    let (history, is_new) = file.opened()?;
-    // Before the rows: what is committed while they are read is seen at the next look.
-    let now = history.commits()?;
-    if !is_new && now == *commits {
-        return Ok(None);
-    }
-    // What others wrote meanwhile is believed as little as what they wrote before.
-    if !is_new {
-        history.verify()?;
-    }
-    let standing = standing(history)?;
-    *commits = now;
-    Ok(Some(standing))
+/// What stands, if it may have changed since the last look.
+fn look(file: &mut HistoryFile) -> Result<Option<Standing>, HistoryError> {
+    let (history, is_changed) = file.verified()?;
+    is_changed.then(|| standing(history)).transpose()
 }
 
 fn standing(history: &History) -> Result<Standing, HistoryError> {

@@ -19,6 +19,8 @@ struct Opened {
     history: History,
     /// Device and inode.
     file: Option<[u64; 2]>,
+    /// Commits when it was last verified.
+    commits: Option<i64>,
 }
 
 impl HistoryFile {
@@ -36,6 +38,28 @@ impl HistoryFile {
     /// # Errors
     /// It cannot be read, or was changed by others than the instrument.
     pub fn opened(&mut self) -> Result<(&History, bool), HistoryError> {
+        let (open, is_new) = self.current()?;
+        Ok((&open.history, is_new))
+    }
+
+    /// The history, verified anew if something was committed since the last time; and whether that is so. What others wrote
+    /// meanwhile is believed as little as what they wrote before.
+    ///
+    /// # Errors
+    /// It cannot be read, or was changed by others than the instrument.
+    pub fn verified(&mut self) -> Result<(&History, bool), HistoryError> {
+        let (open, is_new) = self.current()?;
+        // Before the rows: what is committed while they are read is seen the next time.
+        let commits = open.history.commits()?;
+        let is_changed = is_new || open.commits != Some(commits);
+        if is_changed && !is_new {
+            open.history.verify()?;
+        }
+        open.commits = Some(commits);
+        Ok((&open.history, is_changed))
+    }
+
+    fn current(&mut self) -> Result<(&mut Opened, bool), HistoryError> {
         let file = file_of(&self.path);
         let before = self.open.take().filter(|open| open.file == file);
         let is_new = before.is_none();
@@ -44,9 +68,10 @@ impl HistoryFile {
             None => Opened {
                 history: History::read(&self.path, &self.seals)?,
                 file,
+                commits: None,
             },
         };
-        Ok((&self.open.insert(open).history, is_new))
+        Ok((self.open.insert(open), is_new))
     }
 
     /// Closes it, so that the next use opens and verifies it anew.

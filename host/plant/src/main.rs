@@ -1,5 +1,5 @@
 //! `flankscope-plant`: what a plant sees of a station. It reads the station's history and serves a page, metrics and a fieldbus
-//! word; it sends nothing to the instrument, whose checks go on whether this process runs, hangs or dies.
+//! word, and sends its checks to a broker; it sends nothing to the instrument, whose checks go on whether this process runs, hangs or dies.
 //!
 //! | file | holds |
 //! |---|---|
@@ -14,6 +14,7 @@
 //! | `page` | routes of the page |
 //! | `metrics` | Prometheus' text |
 //! | `modbus` | registers for a line controller |
+//! | `mqtt` | messages to a broker, behind a feature |
 
 mod access;
 mod demo_line;
@@ -23,6 +24,8 @@ mod listener;
 mod live;
 mod metrics;
 mod modbus;
+#[cfg(feature = "mqtt")]
+mod mqtt;
 mod page;
 mod settings;
 mod standing;
@@ -43,7 +46,7 @@ use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
 ///
-/// Nothing listens unless the settings file names an address for it. The page is for people with a token.
+/// Nothing listens, and nothing is sent, unless the settings file names an address for it. The page is for people with a token.
 #[derive(Parser)]
 #[command(version)]
 struct Args {
@@ -129,7 +132,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
             let address = listener.local_addr()?;
             let names = (address, of.name.as_deref());
             let live = live::follow(&settings.history)?;
-            let site = page::Site::new(settings, names, users, seals, (standing.clone(), live));
+            let site = page::Site::new(settings, names, users, seals.clone(), (standing.clone(), live));
             println!("page     http://{address}/");
             tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
         }
@@ -139,6 +142,12 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
                 .with_context(|| format!("[modbus] listen = \"{}\"", of.listen))?;
             println!("modbus   {}", listener.local_addr()?);
             tasks.spawn(modbus::serve(listener, standing.clone()));
+        }
+        #[cfg(feature = "mqtt")]
+        if let Some(of) = &settings.mqtt {
+            let sender = mqtt::Sender::new(settings, of, seals, standing)?;
+            println!("mqtt     {}", of.broker);
+            tasks.spawn(sender.run());
         }
         tokio::select! {
             ended = tasks.join_next() => match ended {

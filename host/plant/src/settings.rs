@@ -1,6 +1,7 @@
 //! `plant.toml`: what is read, and where it is shown.
 
-use std::net::SocketAddr;
+use std::fmt;
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
@@ -21,6 +22,7 @@ pub struct Settings {
     pub reports: Option<PathBuf>,
     pub page: Option<PageSettings>,
     pub modbus: Option<ModbusSettings>,
+    pub mqtt: Option<MqttSettings>,
 }
 
 /// The page, and the metrics beside it.
@@ -41,6 +43,90 @@ pub struct ModbusSettings {
     pub listen: SocketAddr,
 }
 
+/// A broker that is sent every check.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+// Without the feature they are read in order to be refused.
+#[cfg_attr(not(feature = "mqtt"), expect(dead_code))]
+pub struct MqttSettings {
+    pub broker: Address,
+    /// Certificates of the authority that issued the broker's (PEM). Without it nothing is encrypted.
+    pub ca: Option<PathBuf>,
+    /// File with `user` and `password`.
+    pub login: Option<PathBuf>,
+    /// Name of this station at the broker.
+    pub name: String,
+    /// Sparkplug B in this group instead of plain JSON.
+    pub group: Option<String>,
+    /// File that keeps how far the broker has the history.
+    pub delivered: PathBuf,
+    #[serde(default)]
+    pub version: MqttVersion,
+}
+
+/// Version of MQTT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+pub enum MqttVersion {
+    /// The broker says if it refuses a message.
+    #[default]
+    #[serde(rename = "5")]
+    V5,
+    #[serde(rename = "3.1.1")]
+    V3,
+}
+
+impl fmt::Display for MqttVersion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::V5 => "5",
+            Self::V3 => "3.1.1",
+        })
+    }
+}
+
+/// Name or number of a host, and a port.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "String")]
+pub struct Address {
+    pub host: String,
+    pub port: u16,
+}
+
+impl TryFrom<String> for Address {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let parts = text.rsplit_once(':').and_then(|(host, port)| {
+            // An IPv6 number stands in brackets.
+            let host = host
+                .strip_prefix('[')
+                .map_or(Some(host), |of| of.strip_suffix(']'))?;
+            let is_host = !host.is_empty() && !host.contains(['/', '@', ' ']);
+            is_host.then_some((host.to_owned(), port.parse().ok()?))
+        });
+        let (host, port) = parts
+            .ok_or_else(|| format!("'{text}' is no HOST:PORT, as in broker.example.org:8883"))?;
+        Ok(Self { host, port })
+    }
+}
+
+impl Address {
+    /// Whether it is this machine.
+    fn is_loopback(&self) -> bool {
+        let ip = self.host.parse::<IpAddr>();
+        self.host == "localhost" || ip.is_ok_and(|ip| ip.is_loopback())
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.host.contains(':') {
+            true => write!(f, "[{}]:{}", self.host, self.port),
+            false => write!(f, "{}:{}", self.host, self.port),
+        }
+    }
+}
+
 /// Largest settings file, bytes.
 const MOST_BYTES: u64 = 64 << 10;
 /// Largest age of a verdict that counts: a year.
@@ -59,20 +145,30 @@ impl Settings {
         if let Some(page) = &mut settings.page {
             page.users = folder.join(&page.users);
         }
+        if let Some(mqtt) = &mut settings.mqtt {
+            mqtt.ca = mqtt.ca.as_ref().map(|ca| folder.join(ca));
+            mqtt.login = mqtt.login.as_ref().map(|login| folder.join(login));
+            mqtt.delivered = folder.join(&mqtt.delivered);
+        }
         Ok(settings)
     }
 
     fn check(&self) -> Result<(), BadValue> {
         let listen = self.page.as_ref().map(|page| page.listen);
         let is_private = listen.is_none_or(|listen| listen.ip().is_loopback());
-        let listens = self.page.is_some() || self.modbus.is_some();
+        let listens = self.page.is_some() || self.modbus.is_some() || self.mqtt.is_some();
+        let mqtt = self.mqtt.as_ref();
+        let broker = mqtt.map(|mqtt| &mqtt.broker);
+        let is_tls = mqtt.is_none_or(|mqtt| mqtt.ca.is_some() || mqtt.broker.is_loopback());
+        let name = mqtt.map(|mqtt| mqtt.name.as_str());
+        let group = mqtt.and_then(|mqtt| mqtt.group.as_deref());
         let stale = self.stale_after_s;
         textfile::require(&[
             (
                 listens,
                 "page",
                 &listen,
-                "without [page] and [modbus] nothing would listen; `flankscope-plant example` prints a complete file",
+                "without [page], [modbus] and [mqtt] nothing would listen or be sent; `flankscope-plant example` prints a complete file",
             ),
             (
                 (1..=MOST_STALE_S).contains(&stale),
@@ -87,6 +183,39 @@ impl Settings {
                 "other machines reach this address, and tokens would cross the network in clear: listen on 127.0.0.1 and put a proxy \
                  with TLS before it (docs/plant.md)",
             ),
+            (
+                mqtt.is_none() || cfg!(feature = "mqtt"),
+                "mqtt",
+                &broker,
+                "this program was built without MQTT: cargo install --path host/plant --features mqtt",
+            ),
+            (
+                is_tls,
+                "mqtt.broker",
+                &broker,
+                "it is not on this machine, so password and results would cross the network in clear: name the certificates of the \
+                 authority that issued the broker's in `ca` (PEM)",
+            ),
+            (
+                name.is_none_or(is_topic_word),
+                "mqtt.name",
+                &name,
+                TOPIC_WORD,
+            ),
+            (
+                group.is_none_or(is_topic_word),
+                "mqtt.group",
+                &group,
+                TOPIC_WORD,
+            ),
         ])
     }
+}
+
+/// What is one level of a topic and a client's name at any broker.
+const TOPIC_WORD: &str = "must be 1 to 64 letters, digits, - . _";
+
+fn is_topic_word(name: &str) -> bool {
+    let is_letter = |c: u8| c.is_ascii_alphanumeric() || b"-._".contains(&c);
+    (1..=64).contains(&name.len()) && name.bytes().all(is_letter)
 }

@@ -553,6 +553,12 @@ fn settings_that_would_serve_nothing_or_everybody_are_refused() {
     };
     let no_listener = "history = \"press.db\"\nstale_after_s = 60\n";
     assert!(serve(no_listener).contains("nothing would listen"));
+    #[cfg(not(feature = "mqtt"))]
+    {
+        let keys =
+            "broker = \"localhost:1883\"\nname = \"press7\"\ndelivered = \"delivered.toml\"\n";
+        assert!(serve(&format!("{text}[mqtt]\n{keys}")).contains("--features mqtt"));
+    }
     let open = text.replacen("127.0.0.1:0", "0.0.0.0:0", 1);
     assert!(serve(&open).contains("proxy with TLS"));
     assert!(serve(&text.replace("3600", "0")).contains("stale_after_s = 0"));

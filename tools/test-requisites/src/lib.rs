@@ -9,6 +9,12 @@ use std::path::{Path, PathBuf};
 /// Where [`stage_clients`] looks, from the repository.
 pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
 
+/// Where [`mqtt_peers`] looks, from the repository.
+pub const MQTT_CLIENTS: &str = "target/mqtt-clients/bin/python";
+
+/// Where Debian's broker is, which is no program for users.
+pub const MOSQUITTO: &str = "/usr/sbin/mosquitto";
+
 /// A head file as drawn, without volume and sensor: the camera's 1920 x 1200 pixels behind a bundle, a DMD of 1024 x 768 mirrors.
 pub const DRAWN_HEAD: &str = r#"
 name = "drawn"
@@ -191,6 +197,21 @@ pub fn stage_clients() -> Option<PathBuf> {
         true => Some(python),
         false => missed(&format!("{STAGE_CLIENTS} (tools/peers/README.md)")),
     }
+}
+
+/// Other people's MQTT broker, and Python with other people's clients.
+///
+/// # Panics
+/// One of them is missing although everything must run.
+#[must_use]
+pub fn mqtt_peers() -> Option<(PathBuf, PathBuf)> {
+    let python = workspace().join(MQTT_CLIENTS);
+    let missing = match (Path::new(MOSQUITTO).is_file(), python.is_file()) {
+        (true, true) => return Some((MOSQUITTO.into(), python)),
+        (false, _) => "mosquitto".to_owned(),
+        (_, false) => format!("{MQTT_CLIENTS} (tools/peers/README.md)"),
+    };
+    missed(&missing).and(None)
 }
 
 /// Whether Aravis' library is there, which speaks GigE Vision and USB3 Vision.

@@ -170,7 +170,7 @@ const TESTS_ONLY: &[Room] = &[
     (RECORD, &[TEST_REQUISITES]),
     (JOBS, &[TEST_REQUISITES]),
     // Histories that the instrument itself has written.
-    (PLANT, &[TESTS]),
+    (PLANT, &[TESTS, TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[INSTRUMENT, TEST_REQUISITES]),
     (DEMO, &[TEST_REQUISITES]),

@@ -177,8 +177,11 @@ fn deployment() -> Result<(), String> {
 /// nothing is built twice.
 fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
-        true => &["--features", "flankscope/aravis,flankscope/parquet"],
-        false => &["--features", "flankscope/parquet"],
+        true => &[
+            "--features",
+            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt",
+        ],
+        false => &["--features", "flankscope/parquet,flankscope-plant/mqtt"],
     }
 }
 

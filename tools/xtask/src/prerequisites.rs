@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use flankscope_test_requisites::{BROWSERS, STAGE_CLIENTS, has_aravis};
+use flankscope_test_requisites::{BROWSERS, MOSQUITTO, MQTT_CLIENTS, STAGE_CLIENTS, has_aravis};
 
 use crate::{firmware, python};
 
@@ -75,6 +75,20 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the emulated stage controller driven by other people's clients (PyMeasure, InstrumentKit)",
             needs: STAGE_CLIENTS,
             how: "python3 -m venv target/stage-clients && target/stage-clients/bin/pip install --no-deps -r tools/peers/stage-clients.txt",
+        });
+    }
+    if !Path::new(MOSQUITTO).is_file() || !firmware::is_on_path("openssl") {
+        missing.push(Missing {
+            what: "the plant's messages to another's MQTT broker",
+            needs: "mosquitto, and openssl for its certificates",
+            how: "apt-get install mosquitto openssl",
+        });
+    }
+    if !root.join(MQTT_CLIENTS).is_file() {
+        missing.push(Missing {
+            what: "the plant's messages read by other people's MQTT and Sparkplug B clients (paho, pysparkplug)",
+            needs: MQTT_CLIENTS,
+            how: "python3 -m venv target/mqtt-clients && target/mqtt-clients/bin/pip install --no-deps -r tools/peers/mqtt-clients.txt",
         });
     }
     missing

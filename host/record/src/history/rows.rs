@@ -158,6 +158,20 @@ impl History {
         })
     }
 
+    /// Number of the first check after this one; 0 is before the first.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn next_after(&self, id: i64) -> Result<Option<i64>, HistoryError> {
+        self.connection
+            .query_row(
+                "SELECT min(id) FROM inspection WHERE id > ?1",
+                [id],
+                |row| row.get(0),
+            )
+            .map_err(self.because("read which checks follow"))
+    }
+
     fn checks_where(
         &self,
         condition: &str,
