@@ -132,7 +132,13 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
             let address = listener.local_addr()?;
             let names = (address, of.name.as_deref());
             let live = live::follow(&settings.history)?;
-            let site = page::Site::new(settings, names, users, seals.clone(), (standing.clone(), live));
+            let site = page::Site::new(
+                settings,
+                names,
+                users,
+                seals.clone(),
+                (standing.clone(), live),
+            );
             println!("page     http://{address}/");
             tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
         }
