@@ -20,13 +20,10 @@ pub fn run_all(root: &Path) -> Result<(), String> {
         command.current_dir(&package).args(arguments);
         command
     };
-    run(command(&[
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        ".[test,view3d]",
-    ]))?;
+    let mut install = command(&["-m", "pip", "install", "--quiet", ".[test,view3d]"]);
+    // With the checks of a development build, which is also the sooner built one.
+    install.env("MATURIN_PEP517_ARGS", "--profile dev");
+    run(install)?;
     run(command(&["-m", "unittest", "discover", "tests"]))?;
     run(command(&["examples/worn_block.py"]))?;
     // What the types promise is what is there, and the examples keep to them.
