@@ -173,7 +173,7 @@ fn a_single_crack_is_never_passed() {
     // As deep as a hole is supposed to be, along the upper rim of the zone.
     let high = ZONE_MM[1] - ZONE_MM[0];
     let at_rim = |[_, y]: [f64; 2]| if y > high - 0.13 { 0.3 } else { 0.0 };
-    assert_not_passed(&worn([0.05, 2.5e-3], at_rim, &[]), 50.0);
+    assert_not_passed(&worn([0.05, 2.5e-3], at_rim, &[]), 30.0);
 }
 
 #[test]
