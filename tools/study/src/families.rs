@@ -247,7 +247,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         "# Families of dies, drawn at random\n\nMade by `{}` at commit \
          `{}`.\n\nOf every family {} dies are drawn before each of {} heads, each head calibrated on the bench, and judged by frames \
          against the truth. *Texture*: grooves and pits 30 to 110 µm wide (what finer ones do is in [resolution](resolution.md)), 1.1 to 2.2 widths apart, flat, V-shaped or round, along, \
-         across or at any angle, in patches 0.3 to 2.4 mm long and wide, at most five widths deep. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
+         across or at any angle, in patches 0.3 to 2.4 mm long and wide, at most five widths deep. *Single openings*: the same alone, 80 µm to 0.8 mm wide, with their middles anywhere in the zone. *One side worn*: 51 to 90 µm, the other \
          side 0 to 45 µm proud, of all teeth or of five, without a datum. *Neighbours*: one flank beside the judged tooth 55 to \
          200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts, and the truth is that of \
          what camera and projector see of the flank within the head's stated field. *Another size*: 0.02 \

@@ -212,14 +212,8 @@ fn opening(random: &mut Random, judged: Rectangle) -> Structure {
         Plan::Line(_) => log_between(random, 0.08, 0.35),
         Plan::Pit => log_between(random, 0.25, 0.8),
     };
-    let inside = |random: &mut Random, [low, high]: [f64; 2]| {
-        let margin = (0.3 + 0.5 * width_mm).min(0.5 * (high - low));
-        random.between(low + margin, high - margin)
-    };
-    let at_mm = [
-        inside(random, judged.profile_mm),
-        inside(random, judged.height_mm),
-    ];
+    // Anywhere, across the rim too: draws that kept away from it once hid that the verdict did not look there.
+    let at_mm = [judged.profile_mm, judged.height_mm].map(|[low, high]| random.between(low, high));
     let [low, high] = judged.height_mm;
     let reach_mm = 1.5;
     Structure {
