@@ -5,7 +5,7 @@ pub mod die;
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -15,6 +15,17 @@ use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_test_requisites::{has_aravis, workspace};
 use serde_json::Value;
+
+/// A process that ends with its test.
+#[derive(Debug)]
+pub struct Killed(pub Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
 
 /// The `flankscope` command, freshly built in this build's own profile.
 ///

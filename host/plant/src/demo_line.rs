@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use anyhow::Context;
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::access::{Role, Users};
 use crate::settings::Settings;
@@ -18,9 +19,7 @@ pub struct DemoLine {
 impl Drop for DemoLine {
     fn drop(&mut self) {
         // Ended, not killed: it takes its camera and its press with it.
-        if let Some(pid) = rustix::process::Pid::from_raw(self.watch.id().cast_signed()) {
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::INT);
-        }
+        let _ = kill_process(Pid::from_child(&self.watch), Signal::INT);
         let _ = self.watch.wait();
     }
 }

@@ -33,13 +33,13 @@ impl HistoryFile {
         }
     }
 
-    /// The history, and whether it was opened just now.
+    /// The history.
     ///
     /// # Errors
     /// It cannot be read, or was changed by others than the instrument.
-    pub fn opened(&mut self) -> Result<(&History, bool), HistoryError> {
-        let (open, is_new) = self.current()?;
-        Ok((&open.history, is_new))
+    pub fn opened(&mut self) -> Result<&History, HistoryError> {
+        let (open, _) = self.current()?;
+        Ok(&open.history)
     }
 
     /// The history, verified anew if something was committed since the last time; and whether that is so. What others wrote
@@ -59,6 +59,7 @@ impl HistoryFile {
         Ok((&open.history, is_changed))
     }
 
+    /// The history of the file that stands there now, and whether it was opened just now.
     fn current(&mut self) -> Result<(&mut Opened, bool), HistoryError> {
         let file = file_of(&self.path);
         let before = self.open.take().filter(|open| open.file == file);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use flankscope_tests::{flankscope, run, state};
+use flankscope_tests::{Killed, flankscope, run, state};
 
 const ROUTES: [&str; 10] = [
     "/",
@@ -108,16 +108,6 @@ impl Printed {
     fn address(&mut self, words: &str) -> SocketAddr {
         let said = self.after(words);
         said.trim_end_matches('/').parse().unwrap()
-    }
-}
-
-/// A process that ends with its test.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 

@@ -320,10 +320,9 @@ fn live(standing: &Standing, tool: &ToolStanding, now: Timestamp) -> Vec<Metric>
     let latched = Value::Boolean(tool.latched.is_some());
     let mut stands = metric("Verdict", STRING, verdict.map(word), now);
     // A no-go stands however old it is.
-    stands.properties = Some(quality(match (verdict, standing.worth(tool, now)) {
-        (Some(_), _) => GOOD,
-        (None, Worth::Unknown) => BAD,
-        (None, _) => STALE,
+    stands.properties = Some(quality(match verdict {
+        Some(_) => GOOD,
+        None => quality_of(standing.worth(tool, now)),
     }));
     vec![stands, metric("Latched", BOOLEAN, Some(latched), now)]
 }
@@ -378,12 +377,16 @@ fn flank_metrics(flank: &str) -> [String; 3] {
 fn qualify(metrics: &mut [Metric], worth: Worth) {
     for metric in metrics {
         if metric.name.as_deref() == Some("Check/Verdict") {
-            metric.properties = Some(quality(match worth {
-                Worth::Counts => GOOD,
-                Worth::Stale => STALE,
-                Worth::Unknown => BAD,
-            }));
+            metric.properties = Some(quality(quality_of(worth)));
         }
+    }
+}
+
+fn quality_of(worth: Worth) -> u32 {
+    match worth {
+        Worth::Counts => GOOD,
+        Worth::Stale => STALE,
+        Worth::Unknown => BAD,
     }
 }
 

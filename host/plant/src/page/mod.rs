@@ -99,7 +99,7 @@ impl Site {
         let site = Arc::clone(self);
         let answer = tokio::task::spawn_blocking(move || {
             let mut file = site.history.lock().unwrap_or_else(PoisonError::into_inner);
-            let answer = file.opened().and_then(|(history, _)| question(history));
+            let answer = file.opened().and_then(question);
             if answer.is_err() {
                 file.close();
             }

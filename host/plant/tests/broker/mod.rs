@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
@@ -21,21 +21,11 @@ use flankscope_record::origin::{HeadId, Origin};
 use flankscope_record::seal::Seals;
 use flankscope_record::sink::ResultSink;
 use flankscope_test_requisites::{Random, mqtt_peers, workspace};
-use flankscope_tests::state;
+use flankscope_tests::{Killed, state};
 use serde_json::Value;
 
 /// Longest time for anything that is waited for.
 const AT_MOST: Duration = Duration::from_secs(30);
-
-/// A process that ends with its test.
-pub struct Killed(pub Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 /// A history that grows by checks which nobody made.
 pub struct Press {
