@@ -172,7 +172,7 @@ impl Plant {
 
     /// A page, once it shows this.
     fn page_with(&self, path: &str, wanted: &str) -> String {
-        let end = Instant::now() + Duration::from_secs(30);
+        let end = Instant::now() + Duration::from_secs(120);
         loop {
             let page = self.with_token(path).text;
             if page.contains(wanted) {
@@ -260,6 +260,22 @@ fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
         "{registers:?}"
     );
 
+    // In the browser's language, but what the history stores as it was stored.
+    for (path, wanted) in [
+        ("/", "<html lang=\"de\">"),
+        ("/board", "ihr NO-GO ist nicht quittiert"),
+        ("/checks", "größter Verschleiß"),
+        ("/checks/2", "is beyond the stop limit"),
+        ("/now", "keine Überwachung"),
+    ] {
+        let token = &station.token;
+        let page = plant.get(
+            path,
+            &format!("Authorization: Bearer {token}\r\nAccept-Language: de-CH, en;q=0.5\r\n"),
+        );
+        assert!(page.text.contains(wanted), "no {wanted} in {}", page.text);
+    }
+
     let metrics = plant.with_token("/metrics").text;
     for line in [
         "flankscope_history_readable 1.0",
@@ -301,7 +317,7 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     let mut watch = flankscope();
     watch.args([
         "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "12", "--cycles",
-        "300",
+        "5000",
     ]);
     watch
         .args(["--wear-rate", "40:left:40", "--history"])
@@ -578,4 +594,85 @@ fn settings_that_would_serve_nothing_or_everybody_are_refused() {
     assert!(refused(&token("a\"b", &users)).contains("is no name"));
     let kept = std::fs::read_to_string(&users).unwrap();
     assert!(!kept.contains(&station.token), "the file keeps no token");
+}
+
+/// What another's server answers to a question about the metrics that it scraped; none while it has no answer.
+fn asked(server: SocketAddr, question: &str) -> Option<Vec<serde_json::Value>> {
+    let spelled: String = question
+        .bytes()
+        .map(|byte| format!("%{byte:02X}"))
+        .collect();
+    let mut stream = TcpStream::connect(server).ok()?;
+    stream
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    let request = format!("GET /api/v1/query?query={spelled} HTTP/1.0\r\nHost: {server}\r\n\r\n");
+    stream.write_all(request.as_bytes()).ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).ok()?;
+    let (_, body) = answer.split_once("\r\n\r\n")?;
+    let body: serde_json::Value = serde_json::from_str(body).ok()?;
+    // A server that begins says 503 in words; a question that it does not understand is an error.
+    assert_ne!(body["status"], "error", "{question}: {body}");
+    let found = body["data"]["result"].as_array()?.clone();
+    (!found.is_empty()).then_some(found)
+}
+
+#[test]
+fn every_panel_of_the_dashboard_is_answered_by_a_server_that_scraped_the_metrics() {
+    let Some(program) = flankscope_test_requisites::prometheus() else {
+        return;
+    };
+    let station = Station::new(3600);
+    assert_eq!(station.check(&["--wear", "40:left:80"]), 1);
+    let plant = station.serve();
+    plant.board_with("verdict no-go");
+    let folder = station.folder.path();
+    std::fs::write(folder.join("token"), &station.token).unwrap();
+    let settings = format!(
+        "global: {{scrape_interval: 1s}}\nscrape_configs:\n- job_name: station\n  authorization: {{credentials_file: token}}\n  \
+         static_configs: [{{targets: [\"{}\"]}}]\n",
+        plant.page
+    );
+    std::fs::write(folder.join("prometheus.yml"), settings).unwrap();
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let server = free.local_addr().unwrap();
+    drop(free);
+    let mut command = Command::new(program);
+    command
+        .arg("--config.file=prometheus.yml")
+        .arg("--storage.tsdb.path=metrics")
+        .arg(format!("--web.listen-address={server}"))
+        .current_dir(folder)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    let _scraping = Killed(command.spawn().unwrap());
+
+    let dashboard = flankscope_test_requisites::workspace().join("docs/plant-grafana.json");
+    let dashboard: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(dashboard).unwrap()).unwrap();
+    let panels = dashboard["panels"].as_array().unwrap();
+    let questions: Vec<(&str, &str)> = panels
+        .iter()
+        .flat_map(|panel| {
+            let title = panel["title"].as_str().unwrap();
+            let targets = panel["targets"].as_array().unwrap().iter();
+            targets.map(move |target| (title, target["expr"].as_str().unwrap()))
+        })
+        .collect();
+    let end = Instant::now() + Duration::from_secs(60);
+    for (title, question) in questions {
+        let found = loop {
+            if let Some(found) = asked(server, question) {
+                break found;
+            }
+            assert!(Instant::now() < end, "{title}: no answer to {question}");
+            std::thread::sleep(Duration::from_millis(200));
+        };
+        if title == "Verdict that stands" {
+            // 3: no-go, as the panel's mapping says.
+            assert_eq!(found[0]["value"][1], "3", "{found:?}");
+            assert_eq!(found[0]["metric"]["tool"], "demo die", "{found:?}");
+        }
+    }
 }

@@ -30,33 +30,52 @@ struct Series {
     name: &'static str,
     plan: Plan,
     pitch_ratio: Option<f64>,
+    /// It ends at the rim of the judged zone: at the end of the profile away from the base circle, or at the upper end of the height.
+    is_at_rim: bool,
 }
 
-const SERIES: [Series; 5] = [
+const SERIES: [Series; 7] = [
     Series {
         name: "one groove along the height",
         plan: Plan::Line(0.0),
         pitch_ratio: None,
+        is_at_rim: false,
     },
     Series {
         name: "one scratch along the profile",
         plan: Plan::Line(std::f64::consts::FRAC_PI_2),
         pitch_ratio: None,
+        is_at_rim: false,
     },
     Series {
         name: "one round pit",
         plan: Plan::Pit,
         pitch_ratio: None,
+        is_at_rim: false,
     },
     Series {
         name: "grooves along the height, 1.75 widths apart",
         plan: Plan::Line(0.0),
         pitch_ratio: Some(GROOVE_PITCH),
+        is_at_rim: false,
     },
     Series {
         name: "pits, 1.25 widths apart",
         plan: Plan::Pit,
         pitch_ratio: Some(PIT_PITCH),
+        is_at_rim: false,
+    },
+    Series {
+        name: "one groove along the height, at the zone's rim",
+        plan: Plan::Line(0.0),
+        pitch_ratio: None,
+        is_at_rim: true,
+    },
+    Series {
+        name: "one scratch along the profile, at the zone's rim",
+        plan: Plan::Line(std::f64::consts::FRAC_PI_2),
+        pitch_ratio: None,
+        is_at_rim: true,
     },
 ];
 
@@ -199,11 +218,19 @@ fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
 fn structure(judged: Rectangle, [series, width, depth]: [usize; 3]) -> Structure {
     let (series, width_mm) = (&SERIES[series], WIDTHS_MM[width]);
     let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
-    let at_mm = [middle(judged.profile_mm), middle(judged.height_mm)];
+    let mut at_mm = [middle(judged.profile_mm), middle(judged.height_mm)];
+    match series.plan {
+        Plan::Line(0.0) if series.is_at_rim => at_mm[0] = judged.profile_mm[1] - 0.5 * width_mm,
+        _ if series.is_at_rim => at_mm[1] = judged.height_mm[1] - 0.5 * width_mm,
+        _ => {}
+    }
     let height_mm = match (series.plan, series.pitch_ratio) {
         // Along the whole height.
         (Plan::Line(0.0), None) => judged.height_mm,
-        (_, None) => [at_mm[1] - width_mm, at_mm[1] + width_mm],
+        (_, None) => [
+            at_mm[1] - width_mm,
+            (at_mm[1] + width_mm).min(judged.height_mm[1]),
+        ],
         (_, Some(_)) => [at_mm[1] - 0.5 * COVERED_MM, at_mm[1] + 0.5 * COVERED_MM],
     };
     Structure {

@@ -168,6 +168,21 @@ pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
     found.or_else(|| missed(&format!("Python with {}", modules.join(", "))))
 }
 
+/// Name of another's metrics server, which scrapes the plant's.
+pub const PROMETHEUS: &str = "prometheus";
+
+/// Another's metrics server.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn prometheus() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let mut programs = std::env::split_paths(&path).map(|folder| folder.join(PROMETHEUS));
+    let found = programs.find(|program| program.is_file());
+    found.or_else(|| missed(PROMETHEUS))
+}
+
 /// Names of the browser whose engine draws the pages in tests.
 pub const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
 

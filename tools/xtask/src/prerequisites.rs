@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use flankscope_test_requisites::{BROWSERS, MOSQUITTO, MQTT_CLIENTS, STAGE_CLIENTS, has_aravis};
+use flankscope_test_requisites::{
+    BROWSERS, MOSQUITTO, MQTT_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis,
+};
 
 use crate::{firmware, python};
 
@@ -82,6 +84,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the plant's messages to another's MQTT broker",
             needs: "mosquitto, and openssl for its certificates",
             how: "apt-get install mosquitto openssl",
+        });
+    }
+    if !firmware::is_on_path(PROMETHEUS) {
+        missing.push(Missing {
+            what: "the plant's metrics scraped by another's server, and every panel of the dashboard asked of it",
+            needs: "Prometheus",
+            how: "apt-get install --no-install-recommends prometheus",
         });
     }
     if !root.join(MQTT_CLIENTS).is_file() {

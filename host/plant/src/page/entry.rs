@@ -12,6 +12,7 @@ use axum::response::{Html, IntoResponse, Redirect, Response};
 use serde::Deserialize;
 
 use super::Site;
+use super::language::Language;
 use super::views::Login;
 
 const COOKIE: &str = "flankscope_token";
@@ -77,6 +78,7 @@ pub async fn of_this_site(State(site): State<Arc<Site>>, request: Request, next:
 /// Passes on requests with a token; the others get the page for entering one, with status 401.
 pub async fn with_token(
     State(site): State<Arc<Site>>,
+    lang: Language,
     mut request: Request,
     next: Next,
 ) -> Response {
@@ -85,11 +87,12 @@ pub async fn with_token(
         request.extensions_mut().insert(user);
         return next.run(request).await;
     }
-    unauthorised(request.uri(), false)
+    unauthorised(request.uri(), false, lang)
 }
 
-fn unauthorised(wanted: &Uri, refused: bool) -> Response {
+fn unauthorised(wanted: &Uri, refused: bool, lang: Language) -> Response {
     let login = Login {
+        lang,
         to: wanted.path_and_query().map_or("/", |to| to.as_str()),
         refused,
     };
@@ -126,7 +129,11 @@ pub struct Entered {
 }
 
 /// Takes a token that was entered, and leads on to the page that was wanted.
-pub async fn login(State(site): State<Arc<Site>>, Form(entered): Form<Entered>) -> Response {
+pub async fn login(
+    State(site): State<Arc<Site>>,
+    lang: Language,
+    Form(entered): Form<Entered>,
+) -> Response {
     let token = entered.token.trim();
     // A path of this site: `//elsewhere` would be another one.
     let is_path = entered.to.starts_with('/') && !entered.to[1..].starts_with(['/', '\\']);
@@ -134,7 +141,7 @@ pub async fn login(State(site): State<Arc<Site>>, Form(entered): Form<Entered>) 
     let to = to.unwrap_or_default();
     let Some(user) = site.users.of_token(token) else {
         tracing::warn!("a token was refused");
-        return unauthorised(&to, true);
+        return unauthorised(&to, true, lang);
     };
     tracing::info!("{} came in", user.name);
     let secure = if site.names.tls { "; Secure" } else { "" };

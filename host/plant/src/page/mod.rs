@@ -4,9 +4,11 @@
 //! | file | holds |
 //! |---|---|
 //! | `entry` | who comes in: token, host name, headers of every answer |
+//! | `language` | English or German, as the browser wants |
 //! | `views` | what the templates show |
 
 mod entry;
+mod language;
 mod views;
 
 use std::convert::Infallible;
@@ -41,6 +43,7 @@ use crate::metrics;
 use crate::settings::Settings;
 use crate::standing::Standing;
 use entry::Names;
+use language::Language;
 use views::{Board, CheckPage, List};
 
 /// Checks on one page of the list.
@@ -240,14 +243,19 @@ async fn acknowledge(
 
 type Shown = Result<Html<String>, Failed>;
 
-async fn home(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
-    let board = board_now(&site, &user)?;
-    let now = now_of(&site)?;
+async fn home(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    lang: Language,
+) -> Shown {
+    let board = board_now(&site, &user, lang)?;
+    let now = now_of(&site, lang)?;
     let has_map3d = match &site.reports {
         Some(folder) => tokio::fs::try_exists(views::map3d(folder)).await,
         None => Ok(false),
     };
     let home = views::Home {
+        lang,
         board,
         now,
         has_map3d: has_map3d.unwrap_or(false),
@@ -255,22 +263,32 @@ async fn home(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -
     Ok(Html(home.render()?))
 }
 
-async fn board(State(site): State<Arc<Site>>, Extension(user): Extension<User>) -> Shown {
-    Ok(Html(board_now(&site, &user)?))
+async fn board(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    lang: Language,
+) -> Shown {
+    Ok(Html(board_now(&site, &user, lang)?))
 }
 
-async fn now(State(site): State<Arc<Site>>) -> Shown {
-    Ok(Html(now_of(&site)?))
+async fn now(State(site): State<Arc<Site>>, lang: Language) -> Shown {
+    Ok(Html(now_of(&site, lang)?))
 }
 
-fn now_of(site: &Site) -> Result<String, askama::Error> {
+fn now_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
     let live = site.live.borrow().clone();
-    views::Now::new(&live).render()
+    views::Now::new(&live, lang).render()
 }
 
-fn board_now(site: &Site, user: &User) -> Result<String, askama::Error> {
+fn board_now(site: &Site, user: &User, lang: Language) -> Result<String, askama::Error> {
     let acknowledges = user.role == Role::Acknowledge;
-    Board::new(&site.standing.borrow(), Timestamp::now(), acknowledges).render()
+    Board::new(
+        &site.standing.borrow(),
+        Timestamp::now(),
+        acknowledges,
+        lang,
+    )
+    .render()
 }
 
 /// A line at every change, and at least every [`TICK`]: the page then asks for the board, whose ages have changed, or for what the
@@ -296,7 +314,11 @@ struct Filter {
     before: Option<i64>,
 }
 
-async fn checks(State(site): State<Arc<Site>>, Query(filter): Query<Filter>) -> Shown {
+async fn checks(
+    State(site): State<Arc<Site>>,
+    lang: Language,
+    Query(filter): Query<Filter>,
+) -> Shown {
     let Filter {
         tool,
         verdict,
@@ -312,6 +334,7 @@ async fn checks(State(site): State<Arc<Site>>, Query(filter): Query<Filter>) -> 
         .await?;
     let more = listed.last().filter(|_| listed.len() == LISTED as usize);
     let page = List {
+        lang,
         more: more.map(|check| check.id),
         tools,
         tool: tool.unwrap_or_default(),
@@ -321,13 +344,18 @@ async fn checks(State(site): State<Arc<Site>>, Query(filter): Query<Filter>) -> 
     Ok(Html(page.render()?))
 }
 
-async fn check(State(site): State<Arc<Site>>, Path(id): Path<i64>) -> Shown {
+async fn check(State(site): State<Arc<Site>>, lang: Language, Path(id): Path<i64>) -> Shown {
     let check = site.ask(move |history| history.check(id)).await?;
     let report = match &site.reports {
         Some(folder) => views::report_of(folder.clone(), id).await,
         None => None,
     };
-    Ok(Html(CheckPage { check, report }.render()?))
+    let page = CheckPage {
+        lang,
+        check,
+        report,
+    };
+    Ok(Html(page.render()?))
 }
 
 async fn document(

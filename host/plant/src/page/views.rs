@@ -10,6 +10,7 @@ use flankscope_record::history::{Check, FlankRow};
 use flankscope_report::figure;
 use jiff::Timestamp;
 
+use super::language::Language;
 use crate::live::Live;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
@@ -21,6 +22,7 @@ const MOST_REPORT: u64 = 4 << 20;
 #[derive(Template)]
 #[template(path = "login.html")]
 pub struct Login<'a> {
+    pub lang: Language,
     /// Where to go then.
     pub to: &'a str,
     /// Whether a token was just refused.
@@ -30,6 +32,7 @@ pub struct Login<'a> {
 #[derive(Template)]
 #[template(path = "home.html")]
 pub struct Home {
+    pub lang: Language,
     pub board: String,
     pub now: String,
     /// Whether there are maps in space.
@@ -40,6 +43,7 @@ pub struct Home {
 #[derive(Template)]
 #[template(path = "now.html")]
 pub struct Now<'a> {
+    lang: Language,
     state: Option<&'a LiveState>,
     /// Steps of the check, with their seconds and their lengths as shares of the whole, percent.
     steps: Vec<Step<'a>>,
@@ -53,7 +57,7 @@ struct Step<'a> {
 }
 
 impl<'a> Now<'a> {
-    pub fn new(live: &'a Live) -> Self {
+    pub fn new(live: &'a Live, lang: Language) -> Self {
         let state = live.state.as_deref();
         let steps = state.map_or(&[][..], |state| &state.steps);
         let whole_ms = steps.last().map_or(1, |last| last.at_ms.max(1));
@@ -65,6 +69,7 @@ impl<'a> Now<'a> {
             what: &step.what,
         });
         Self {
+            lang,
             state,
             steps: steps.collect(),
             pictures: &live.pictures,
@@ -76,6 +81,7 @@ impl<'a> Now<'a> {
 #[derive(Template)]
 #[template(path = "board.html")]
 pub struct Board {
+    lang: Language,
     fault: Option<String>,
     tools: Vec<Tile>,
     /// Whether its reader may acknowledge.
@@ -102,17 +108,23 @@ struct Tile {
 }
 
 impl Board {
-    pub fn new(standing: &Standing, now: Timestamp, acknowledges: bool) -> Self {
+    pub fn new(standing: &Standing, now: Timestamp, acknowledges: bool, lang: Language) -> Self {
         let tile = |of: &ToolStanding| {
             let last = &of.last;
-            let age = standing
-                .age_s(of, now)
-                .map_or("at an unknown time".into(), ago);
-            let old = || Some(format!("last {}, {age}", shown(last.verdict)));
+            let age = standing.age_s(of, now).map_or_else(
+                || lang.of("at an unknown time", "zu unbekannter Zeit").into(),
+                |age_s| ago(age_s, lang),
+            );
+            let old = || {
+                let before = lang.of("last", "zuletzt");
+                Some(format!("{before} {}, {age}", shown(last.verdict, lang)))
+            };
             let (badge, word, not_counting) = match standing.verdict(of, now) {
-                Some(word) => (word.as_str(), shown(word), None),
-                None if standing.worth(of, now) == Worth::Stale => ("old", "TOO OLD", old()),
-                None => ("old", "UNKNOWN", old()),
+                Some(word) => (word.as_str(), shown(word, lang), None),
+                None if standing.worth(of, now) == Worth::Stale => {
+                    ("old", lang.of("TOO OLD", "ZU ALT"), old())
+                }
+                None => ("old", lang.of("UNKNOWN", "UNBEKANNT"), old()),
             };
             Tile {
                 tool: last.tool.clone(),
@@ -125,10 +137,15 @@ impl Board {
                 age,
                 id: last.id,
                 reason: last.reason.clone(),
-                worst: most_worn(last).map(worn),
+                worst: most_worn(last).map(|flank| worn(flank, lang)),
                 particulars: format!(
-                    "station {} · head {} · {} press cycles",
-                    last.origin.station, last.origin.head.name, last.tool_cycles
+                    "{} {} · {} {} · {} {}",
+                    lang.of("station", "Station"),
+                    last.origin.station,
+                    lang.of("head", "Messkopf"),
+                    last.origin.head.name,
+                    last.tool_cycles,
+                    lang.of("press cycles", "Pressenhübe"),
                 ),
                 counts: of
                     .counts
@@ -139,6 +156,7 @@ impl Board {
             }
         };
         Self {
+            lang,
             fault: standing.fault.as_deref().map(str::to_owned),
             tools: standing.tools.iter().map(tile).collect(),
             acknowledges,
@@ -146,30 +164,35 @@ impl Board {
     }
 }
 
-fn shown(word: Word) -> &'static str {
+fn shown(word: Word, lang: Language) -> &'static str {
     match word {
         Word::Go => "GO",
-        Word::Warn => "WARN",
+        Word::Warn => lang.of("WARN", "WARNUNG"),
         Word::NoGo => "NO-GO",
-        Word::Indeterminate => "INDETERMINATE",
+        Word::Indeterminate => lang.of("INDETERMINATE", "UNENTSCHIEDEN"),
     }
 }
 
 /// Time since then, to two figures.
-fn ago(age_s: u64) -> String {
-    match age_s {
-        0..120 => format!("{age_s} s ago"),
-        120..7200 => format!("{} min ago", age_s / 60),
-        7200..172_800 => format!("{} h ago", age_s / 3600),
-        _ => format!("{} days ago", age_s / 86_400),
+fn ago(age_s: u64, lang: Language) -> String {
+    let (number, unit) = match age_s {
+        0..120 => (age_s, "s"),
+        120..7200 => (age_s / 60, "min"),
+        7200..172_800 => (age_s / 3600, "h"),
+        _ => (age_s / 86_400, lang.of("days", "Tagen")),
+    };
+    match lang {
+        Language::English => format!("{number} {unit} ago"),
+        Language::German => format!("vor {number} {unit}"),
     }
 }
 
-fn worn(flank: &FlankRow) -> String {
+fn worn(flank: &FlankRow, lang: Language) -> String {
     format!(
-        "{}: {} µm, stop at {:.0} µm",
+        "{}: {} µm, {} {:.0} µm",
         flank.id,
         wear(flank),
+        lang.of("stop at", "Stopp bei"),
         flank.limit_um
     )
 }
@@ -198,6 +221,7 @@ fn query(text: &str) -> String {
 #[derive(Template)]
 #[template(path = "checks.html")]
 pub struct List {
+    pub lang: Language,
     pub tools: Vec<String>,
     /// Filters; an empty name means all tools.
     pub tool: String,
@@ -232,6 +256,7 @@ impl List {
 #[derive(Template)]
 #[template(path = "check.html")]
 pub struct CheckPage {
+    pub lang: Language,
     pub check: Check,
     /// Name of the instrument's page of it.
     pub report: Option<String>,
