@@ -10,6 +10,9 @@
 //! probability `erfc(d / (2 sqrt 2)) / 2`. For one clue of ratio `R` that is the familiar
 //! `d = TAU / sqrt(R^2 sigma_coarse^2 + sigma_fine^2)`.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
 use std::f64::consts::TAU;
 
 use flankscope_foundation::simd::with_widest;

@@ -1,5 +1,8 @@
 //! Optional smoothing of phasors before phases are computed, and of other figures of cells.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
 use flankscope_foundation::simd::with_widest;
 use rayon::prelude::*;
 

@@ -1,5 +1,8 @@
 //! A camera ray meets the sheet of light of one projector column.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
 mod head;
 
 use flankscope_foundation::simd::with_widest;
