@@ -9,6 +9,7 @@
 //! | [`order`] | quantiles and medians |
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
 //! | [`seal`] | whose word a file is |
+//! | [`simd`] | one function for every processor, in the widest vectors it has |
 //! | [`display`] | figures in sentences |
 //! | [`npz`] | arrays for NumPy |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
@@ -34,4 +35,5 @@ pub mod npz;
 pub mod order;
 pub mod rigid;
 pub mod seal;
+pub mod simd;
 pub mod textfile;

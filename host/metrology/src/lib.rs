@@ -47,7 +47,6 @@ pub mod multiview;
 pub mod patch;
 mod random;
 pub mod registration;
-mod simd;
 pub mod space;
 pub mod surface;
 pub mod tool;

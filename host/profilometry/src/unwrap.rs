@@ -10,19 +10,26 @@
 //! probability `erfc(d / (2 sqrt 2)) / 2`. For one clue of ratio `R` that is the familiar
 //! `d = TAU / sqrt(R^2 sigma_coarse^2 + sigma_fine^2)`.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
 use std::f64::consts::TAU;
+
+use flankscope_foundation::simd::with_widest;
 
 /// Least distance to the next order in predicted standard deviations: of two neighbours one is taken by mistake in 6e-7 of the
 /// cells.
 pub const MIN_SEPARATION: f64 = 10.0;
 
 /// The phase closest to `expected_rad` among all that differ from `wrapped_rad` by whole turns.
+#[inline(always)]
 pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
     wrapped_rad + TAU * nearest_whole((expected_rad - wrapped_rad) / TAU)
 }
 
 /// The nearest whole number below 2^51, the even one at halves, by the rounding of an addition: [`f64::round`] is a call of the
 /// mathematical library on processors of the x86-64 baseline, and this is asked for every order of every cell.
+#[inline(always)]
 fn nearest_whole(value: f64) -> f64 {
     // 1.5 * 2^52: from here to twice as much a float has no fraction.
     const NO_FRACTION: f64 = 6_755_399_441_055_744.0;
@@ -51,11 +58,7 @@ pub(crate) const NO_CLUE: Clue = Clue {
 };
 
 impl Clue {
-    /// Difference of its phase from the one predicted by the finest frequency's absolute phase, rad.
-    fn residual_rad(&self, absolute_rad: f64) -> f64 {
-        nearest_turn(self.phase_rad - self.ratio * absolute_rad, 0.0)
-    }
-
+    #[inline(always)]
     fn variance_rad2(&self) -> f64 {
         let variance = self.own_variance_rad2 + self.shared_rad * self.shared_rad;
         // Written so that a NaN stays one.
@@ -64,11 +67,6 @@ impl Clue {
         } else {
             variance
         }
-    }
-
-    /// Change of its phase over this number of orders, rad.
-    fn step_rad(&self, orders: f64) -> f64 {
-        nearest_turn(self.ratio * TAU * orders, 0.0)
     }
 }
 
@@ -97,106 +95,166 @@ pub struct Decision {
     pub agreed: bool,
 }
 
-/// Orders of which the chi-square is kept; the built-in sets have at most 48.
-const KEPT_ORDERS: usize = 64;
-
 /// Keeps noiseless clues finite; far below any camera.
 const LEAST_VARIANCE_RAD2: f64 = 1e-16;
 
-/// Weighting of clues by their own variances. Their common error (the finest phase) is left out of the weights, so that each clue can be
-/// wrapped independently, but is included in the uncertainty of their sum.
-struct Weights<'a>(&'a [Clue]);
+/// Orders that are judged together: vectors of any processor divide them, and few of them lie beyond the end of a ladder.
+const LANES: usize = 8;
 
-impl Weights<'_> {
-    /// Chi-square of the clues about an absolute phase.
-    fn chi_square(&self, absolute_rad: f64) -> f64 {
-        let part = |clue: &Clue| clue.residual_rad(absolute_rad).powi(2) / clue.variance_rad2();
-        self.0.iter().map(part).sum()
+/// Their numbers.
+const LANE_NUMBERS: Lanes = {
+    let mut numbers = [0.0; LANES];
+    let mut lane = 1;
+    while lane < LANES {
+        numbers[lane] = numbers[lane - 1] + 1.0;
+        lane += 1;
     }
+    numbers
+};
 
-    /// Weighted square of how far the clues move over so many orders, and its ratio to the standard deviation of the sum that
-    /// decides between the two: with weights w and steps s that sum is `sum w s r`, its limit half of `sum w s^2`.
-    fn step(&self, orders: f64) -> (f64, f64) {
-        let (mut square, mut own, mut shared) = (0.0, 0.0, 0.0);
-        for clue in self.0 {
-            let step_rad = clue.step_rad(orders);
-            let weighted = step_rad / clue.variance_rad2();
-            square += step_rad * weighted;
-            own += weighted * weighted * clue.own_variance_rad2.max(0.0);
-            // At half a turn either sign may be met: the larger sum.
-            shared += (weighted * clue.shared_rad).abs();
+/// A figure of so many consecutive orders.
+type Lanes = [f64; LANES];
+
+/// Chi-squares of the clues about the absolute phases from this one on, one order apart.
+///
+/// Clues are weighted by their own variances. Their common error (the finest phase) is left out of the weights, so that each clue can
+/// be wrapped independently, but is included in the uncertainty of their sum.
+#[inline(always)]
+fn chi_squares(clues: &[Clue], absolute_rad: f64) -> Lanes {
+    let mut found = [0.0; LANES];
+    for clue in clues {
+        let off_turns = (clue.phase_rad - clue.ratio * absolute_rad) / TAU;
+        let per_turn2 = TAU * TAU / clue.variance_rad2();
+        for (lane, found) in found.iter_mut().enumerate() {
+            let turns = off_turns - clue.ratio * LANE_NUMBERS[lane];
+            let residual = turns - nearest_whole(turns);
+            *found += residual * residual * per_turn2;
         }
-        let deviation = (own + shared * shared).sqrt();
-        (
-            square,
-            if square > 0.0 {
-                square / deviation
-            } else {
-                0.0
-            },
-        )
+    }
+    found
+}
+
+/// How far the clues tell orders apart.
+struct Steps {
+    /// Weighted square of how far the clues move.
+    squares: Lanes,
+    /// Square of its ratio to the standard deviation of the sum that decides between the two orders: with weights w and steps s
+    /// that sum is `sum w s r`, its limit half of `sum w s^2`. Never NaN.
+    separations2: Lanes,
+}
+
+/// Between orders so far apart, and each one farther.
+#[inline(always)]
+fn steps(clues: &[Clue], orders_apart: f64) -> Steps {
+    let (mut squares, mut own, mut shared) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for clue in clues {
+        let weight = TAU / clue.variance_rad2();
+        let own_weight = weight * weight * clue.own_variance_rad2.max(0.0);
+        let shared_weight = weight * clue.shared_rad.abs();
+        for lane in 0..LANES {
+            let turns = clue.ratio * (orders_apart + LANE_NUMBERS[lane]);
+            let step = turns - nearest_whole(turns);
+            squares[lane] += step * step * (TAU * weight);
+            own[lane] += step * step * own_weight;
+            // At half a turn either sign may be met: the larger sum.
+            shared[lane] += step.abs() * shared_weight;
+        }
+    }
+    let separation2 = |lane: usize| {
+        let found = squares[lane] * squares[lane] / (own[lane] + shared[lane] * shared[lane]);
+        // A NaN tells nothing apart.
+        if found > 0.0 { found } else { 0.0 }
+    };
+    Steps {
+        separations2: std::array::from_fn(separation2),
+        squares,
     }
 }
 
 /// The most likely order of the finest frequency, whose wrapped phase is `wrapped_rad`.
 pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
-    let weights = Weights(clues);
+    with_widest(
+        #[inline(always)]
+        || decide_in_lanes(clues, wrapped_rad, ladder),
+    )
+}
+
+#[inline(always)]
+fn decide_in_lanes(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
     let lowest_rad = ladder.middle_rad - 0.5 * TAU * ladder.orders as f64;
     let first = ((lowest_rad - wrapped_rad) / TAU).ceil();
     let phase_rad = |order: usize| wrapped_rad + TAU * (first + order as f64);
-    // Clue by clue over all orders, which the compiler vectorises.
-    let mut kept = [0.0; KEPT_ORDERS];
-    let kept = &mut kept[..ladder.orders.min(KEPT_ORDERS)];
-    for clue in clues {
-        let variance_rad2 = clue.variance_rad2();
-        for (order, chi_square) in kept.iter_mut().enumerate() {
-            *chi_square += clue.residual_rad(phase_rad(order)).powi(2) / variance_rad2;
-        }
-    }
-    let chi_square = |order: usize| match kept.get(order) {
-        Some(&kept) => kept,
-        None => weights.chi_square(phase_rad(order)),
-    };
-    let (mut best, mut least) = (0, f64::INFINITY);
-    for order in 0..ladder.orders {
-        let found = chi_square(order);
-        if found < least {
-            (best, least) = (order, found);
-        }
-    }
-    let mut decision = Decision {
+    let (best, least) = least(clues, phase_rad, ladder.orders);
+    let decision = Decision {
         absolute_rad: phase_rad(best),
         chi_square: least,
-        // A NaN is never certain.
-        separation: if least.is_finite() {
-            f64::INFINITY
-        } else {
-            0.0
-        },
+        separation: 0.0,
         agreed: true,
     };
-    let is_expected = |order: &usize| {
-        let from_middle_rad = (phase_rad(*order) - ladder.middle_rad).abs();
-        *order < ladder.orders && !(from_middle_rad > ladder.expected_rad)
-    };
-    for away in 1..ladder.orders {
-        // Orders as far below as above are as hard to tell apart.
-        let others = [best.checked_sub(away), Some(best + away)];
-        let mut others = others.into_iter().flatten().filter(is_expected).peekable();
-        if others.peek().is_none() {
-            continue;
-        }
-        let (square, separation) = weights.step(away as f64);
-        // A NaN must not be lost in the minimum.
-        let nearer = !(separation >= decision.separation);
-        decision.separation = if nearer {
-            separation
-        } else {
-            decision.separation
-        };
-        decision.agreed &= others.all(|other| chi_square(other) - least >= 0.5 * square);
+    // A NaN is never certain.
+    if !least.is_finite() {
+        return decision;
     }
-    decision
+    // The orders within the expected phases.
+    let turns_to = |rad: f64| (ladder.middle_rad + rad - phase_rad(0)) / TAU;
+    let begin = turns_to(-ladder.expected_rad).ceil().max(0.0) as usize;
+    let end = (turns_to(ladder.expected_rad).floor() + 1.0).max(0.0) as usize;
+    let end = end.min(ladder.orders);
+    let mut nearest2 = [f64::INFINITY; LANES];
+    let mut agreed = true;
+    for from in (begin..end).step_by(LANES) {
+        let chi_squares = chi_squares(clues, phase_rad(from));
+        let Steps {
+            squares,
+            separations2,
+        } = steps(clues, from as f64 - best as f64);
+        let from = from as f64;
+        for lane in 0..LANES {
+            let other = from + LANE_NUMBERS[lane];
+            let competes = (other < end as f64) & (other != best as f64);
+            let nearer = competes & (separations2[lane] < nearest2[lane]);
+            nearest2[lane] = if nearer {
+                separations2[lane]
+            } else {
+                nearest2[lane]
+            };
+            let farther = chi_squares[lane] - least >= 0.5 * squares[lane];
+            agreed &= farther | !competes;
+        }
+    }
+    Decision {
+        separation: nearest2
+            .into_iter()
+            .fold(f64::INFINITY, |a, b| if b < a { b } else { a })
+            .sqrt(),
+        agreed,
+        ..decision
+    }
+}
+
+/// The first order with the least chi-square, and this; infinite where there is none.
+#[inline(always)]
+fn least(clues: &[Clue], phase_rad: impl Fn(usize) -> f64, orders: usize) -> (usize, f64) {
+    let (mut best, mut least) = ([0.0; LANES], [f64::INFINITY; LANES]);
+    for from in (0..orders).step_by(LANES) {
+        let found = chi_squares(clues, phase_rad(from));
+        let from = from as f64;
+        for lane in 0..LANES {
+            let order = from + LANE_NUMBERS[lane];
+            let better = (order < orders as f64) & (found[lane] < least[lane]);
+            best[lane] = if better { order } else { best[lane] };
+            least[lane] = if better { found[lane] } else { least[lane] };
+        }
+    }
+    let lowest = least
+        .into_iter()
+        .fold(f64::INFINITY, |a, b| if b < a { b } else { a });
+    let mut first = f64::INFINITY;
+    for lane in 0..LANES {
+        let earlier = (least[lane] == lowest) & (best[lane] < first);
+        first = if earlier { best[lane] } else { first };
+    }
+    (first as usize, lowest)
 }
 
 /// Separation that counts as telling two orders apart, radians of equally noisy clues: ten standard deviations of 0.05 rad.
@@ -236,7 +294,7 @@ fn apart_rad(periods: &[f64], orders: f64) -> f64 {
         shared_rad: periods / finest,
     };
     let clues: Vec<Clue> = others.iter().map(clue).collect();
-    Weights(&clues).step(orders).1
+    steps(&clues, orders).separations2[0].sqrt()
 }
 
 /// [`Decision::separation`] of neighbouring orders times the standard deviation of every phase.
@@ -263,6 +321,147 @@ mod tests {
         }
     }
 
+    /// Clue by clue and order by order, as it is written in books.
+    mod one_by_one {
+        use super::super::{Clue, Decision, LEAST_VARIANCE_RAD2, Ladder, TAU};
+
+        fn wrapped(rad: f64) -> f64 {
+            rad - TAU * (rad / TAU).round_ties_even()
+        }
+
+        fn variance_rad2(clue: &Clue) -> f64 {
+            let variance = clue.own_variance_rad2 + clue.shared_rad.powi(2);
+            match variance < LEAST_VARIANCE_RAD2 {
+                true => LEAST_VARIANCE_RAD2,
+                false => variance,
+            }
+        }
+
+        pub fn chi_square(clues: &[Clue], absolute_rad: f64) -> f64 {
+            let part = |clue: &Clue| {
+                let off_rad = wrapped(clue.phase_rad - clue.ratio * absolute_rad);
+                off_rad.powi(2) / variance_rad2(clue)
+            };
+            clues.iter().map(part).sum()
+        }
+
+        fn step(clues: &[Clue], orders: f64) -> [f64; 2] {
+            let (mut square, mut own, mut shared) = (0.0, 0.0, 0.0);
+            for clue in clues {
+                let step_rad = wrapped(clue.ratio * TAU * orders);
+                let weighted = step_rad / variance_rad2(clue);
+                square += step_rad * weighted;
+                own += weighted.powi(2) * clue.own_variance_rad2.max(0.0);
+                shared += (weighted * clue.shared_rad).abs();
+            }
+            let told = square > 0.0;
+            [
+                square,
+                if told {
+                    square / own.sqrt().hypot(shared)
+                } else {
+                    0.0
+                },
+            ]
+        }
+
+        pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
+            let lowest_rad = ladder.middle_rad - 0.5 * TAU * ladder.orders as f64;
+            let first = ((lowest_rad - wrapped_rad) / TAU).ceil();
+            let phase_rad = |order: usize| wrapped_rad + TAU * (first + order as f64);
+            let chi_square = |order: usize| chi_square(clues, phase_rad(order));
+            let (mut best, mut least) = (0, f64::INFINITY);
+            for order in 0..ladder.orders {
+                if chi_square(order) < least {
+                    (best, least) = (order, chi_square(order));
+                }
+            }
+            let mut decision = Decision {
+                absolute_rad: phase_rad(best),
+                chi_square: least,
+                separation: if least.is_finite() {
+                    f64::INFINITY
+                } else {
+                    0.0
+                },
+                agreed: true,
+            };
+            for other in (0..ladder.orders).filter(|&other| other != best) {
+                if (phase_rad(other) - ladder.middle_rad).abs() > ladder.expected_rad {
+                    continue;
+                }
+                let [square, separation] = step(clues, best.abs_diff(other) as f64);
+                if !(separation >= decision.separation) {
+                    decision.separation = separation;
+                }
+                decision.agreed &= chi_square(other) - least >= 0.5 * square;
+            }
+            decision
+        }
+    }
+
+    /// Drawn clues, near an order and anywhere, with what a broken cell may hold.
+    #[test]
+    fn orders_judged_together_are_judged_as_one_by_one() {
+        let mut random = Random(23);
+        let (mut sure, mut refused) = (0, 0);
+        for draw in 0..60_000 {
+            let orders = [1, 3, 7, 8, 12, 16, 48, 130][draw % 8];
+            let broken = [f64::NAN, f64::INFINITY, -f64::INFINITY, 0.0, 1e-200];
+            let mut maybe = |value: f64| match (random.uniform() * 400.0) as usize {
+                at if at < broken.len() => broken[at],
+                _ => value,
+            };
+            // No ratio comes back to the same phase, so that the least is one order's.
+            let periods = [[4.03, 13.07], [36.37, 39.0], [1.01, 29.3]][draw % 3];
+            let mut random = Random(draw as u64);
+            let sigma = 10f64.powf(-0.5 - 3.0 * random.uniform());
+            let wrapped_rad = maybe(TAU * (random.uniform() - 0.5));
+            let truth_rad = wrapped_rad + TAU * (random.uniform() * 48.0).floor();
+            let off = if random.uniform() < 0.3 { 1.0 } else { sigma };
+            let clues = periods.map(|periods: f64| {
+                let ratio = periods / 48.0 - if draw % 2 == 0 { 0.0 } else { 1.0 };
+                Clue {
+                    ratio,
+                    phase_rad: maybe(ratio * truth_rad + off * random.normal()),
+                    own_variance_rad2: maybe(sigma * sigma),
+                    shared_rad: maybe(ratio * sigma),
+                }
+            });
+            let clues = &clues[..1 + draw / 3 % 2];
+            let ladder = Ladder {
+                middle_rad: truth_rad.max(0.0) + 20.0 * (random.uniform() - 0.5),
+                orders,
+                expected_rad: [f64::INFINITY, 10.0, 40.0][draw % 3],
+            };
+            let found = decide(clues, wrapped_rad, &ladder);
+            let expected = one_by_one::decide(clues, wrapped_rad, &ladder);
+            let sure_of = |of: &Decision| of.separation >= MIN_SEPARATION;
+            let near =
+                |a: f64, b: f64| a == b || (a - b).abs() <= 1e-9 * (1.0 + a.abs().max(b.abs()));
+            assert_eq!(sure_of(&found), sure_of(&expected), "{clues:?} {ladder:?}");
+            if !sure_of(&found) {
+                refused += 1;
+                continue;
+            }
+            sure += 1;
+            assert!(
+                near(found.chi_square, expected.chi_square),
+                "{found:?} {expected:?}"
+            );
+            assert!(
+                near(found.separation, expected.separation),
+                "{found:?} {expected:?}"
+            );
+            assert_eq!(
+                found.absolute_rad, expected.absolute_rad,
+                "{clues:?} {ladder:?}"
+            );
+            assert_eq!(found.agreed, expected.agreed, "{clues:?} {ladder:?}");
+        }
+        assert!(sure > 20_000 && refused > 5_000, "{sure} and {refused}");
+    }
+
     #[test]
     fn a_turn_is_counted_as_by_rounding() {
         let mut random = Random(5);
@@ -275,7 +474,7 @@ mod tests {
         assert_eq!(nearest_whole(f64::INFINITY), f64::INFINITY);
     }
 
-    /// Orders beyond those that are kept are judged by the same figures.
+    /// Whatever their number, orders are judged by the same figures.
     #[test]
     fn many_orders_are_judged_like_few() {
         let clues = [1.0, 16.0].map(|periods: f64| {

@@ -1,10 +1,13 @@
 //! Times the way of a frame: what memory can do, decoding one view, and the hand-over from the camera process to the host.
-//! `cargo xtask bench` runs it. One JSON object per figure.
+//! `cargo xtask bench` runs it. One JSON object per figure. With `decoding` it times views alone; with `frames` or `points` and a view's
+//! name it runs that stage once, for an instruction counter (`cargo xtask bench --instructions`).
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::hint::black_box;
 use std::io::BufRead;
+use std::ops::Range;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -16,7 +19,9 @@ use flankscope_frames::{
     Arm, BorrowedFrame, Frame, FrameHeader, FrameReceiver, FrameSender, FrameSink, FrameSlot,
     FrameSource, Overflow, Ready, SharedRoot, monotonic_ns,
 };
-use flankscope_profilometry::{DecodeOptions, Decoder, FrameView, PatternSet};
+use flankscope_profilometry::{
+    Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, PatternSet,
+};
 use rayon::prelude::*;
 
 /// Counts every request for memory of this process.
@@ -41,6 +46,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
+/// Views by their pattern set, and whether they are decoded core by core.
+const VIEWS: [(&str, bool); 3] = [("insitu12", false), ("scan16", false), ("high12", true)];
 const WIDTH: usize = 1_920;
 const HEIGHT: usize = 1_200;
 /// 80 frames a second.
@@ -52,6 +59,12 @@ const ROOT_VARIABLE: &str = "FLANKSCOPE_BENCH_CAMERA_ROOT";
 fn main() -> Result<()> {
     if let Some(root) = std::env::var_os(ROOT_VARIABLE) {
         return camera(&SharedRoot::of_owner(root.as_ref())?);
+    }
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.as_slice() {
+        [what] if what == "decoding" => return decoding(memory()),
+        [stage, view] => return count(stage, view),
+        _ => {}
     }
     let read_gb_per_s = memory();
     decoding(read_gb_per_s)?;
@@ -89,48 +102,138 @@ fn memory() -> f64 {
     median
 }
 
-/// One view of the demo die, at one exposure: dark frame and patterns.
-fn decoding(read_gb_per_s: f64) -> Result<()> {
-    let world = World::new(&die::world_config()?)?;
-    let head = demo::head();
-    let rotation_rad = -die::gear().tooth_centre_rad(12);
-    for (name, specs) in [
-        ("insitu12", PatternSpec::insitu12()),
-        ("scan16", PatternSpec::scan16()),
-    ] {
-        let set = PatternSet::named(name)?;
+/// A view of the demo die: its decoder and frames.
+struct View {
+    name: &'static str,
+    decoder: Decoder,
+    frames: Vec<(FrameKind, Vec<u16>)>,
+}
+
+impl View {
+    /// By blocks of pixels at one exposure, or as the demo's inspection has it: core by core, at both exposures of the head.
+    fn new(name: &'static str, by_core: bool) -> Result<Self> {
+        let world = World::new(&die::world_config()?)?;
+        let specs = PatternSpec::named(name).context("a built-in set")?;
+        let rotation_rad = -die::gear().tooth_centre_rad(12);
         let view = world.prepare(rotation_rad, die::HEIGHT_MM, &specs)?;
-        let decoder = Decoder::new(&head, &set, &[20_000], DecodeOptions::for_head(&head))?;
-        let kinds: Vec<_> = decoder.capture_order().collect();
-        let mut frames = vec![vec![0u16; WIDTH * HEIGHT]; kinds.len()];
-        for (number, frame) in frames.iter_mut().enumerate() {
-            world.render(&view, number as u16, 20_000, true, number as u32, frame)?;
+        let mut head = demo::head();
+        let mut exposures_us = vec![20_000];
+        if by_core {
+            head.core_map = Some(Arc::new(demo::core_map()?));
+            exposures_us = head.exposures_us.clone();
         }
-        let mut sums = decoder.begin();
-        let (mut reading, mut all, mut points) = (Vec::new(), Vec::new(), 0);
+        let set = PatternSet::named(name)?;
+        let decoder = Decoder::new(&head, &set, &exposures_us, DecodeOptions::for_head(&head))?;
+        let mut frames = Vec::new();
+        for (number, kind) in decoder.capture_order().enumerate() {
+            let fringe = number.checked_sub(1).map(|at| 1 + at % specs.len());
+            let exposure_us = exposures_us[kind.exposure().unwrap_or(0)];
+            let mut pixels = vec![0; WIDTH * HEIGHT];
+            let pattern = fringe.unwrap_or(0) as u16;
+            world.render(
+                &view,
+                pattern,
+                exposure_us,
+                true,
+                number as u32,
+                &mut pixels,
+            )?;
+            frames.push((kind, pixels));
+        }
+        Ok(Self {
+            name,
+            decoder,
+            frames,
+        })
+    }
+
+    fn add(&self, sums: &mut Accumulator, frames: Range<usize>) -> Result<()> {
+        for (kind, pixels) in &self.frames[frames] {
+            sums.add(FrameView::packed(pixels, WIDTH, HEIGHT), *kind)?;
+        }
+        Ok(())
+    }
+
+    /// Prints how long summing and decoding take on so many threads.
+    fn time(&self, threads: usize, read_gb_per_s: f64) -> Result<()> {
+        let mut sums = self.decoder.begin();
+        let last = self.frames.len() - 1;
+        let (mut frames, mut after_last, mut whole, mut points) =
+            (Vec::new(), Vec::new(), Vec::new(), 0);
         for _ in 0..25 {
             sums.reset();
             let start = Instant::now();
-            for (frame, kind) in frames.iter().zip(&kinds) {
-                sums.add(FrameView::packed(frame, WIDTH, HEIGHT), *kind)?;
-            }
-            reading.push(start.elapsed().as_secs_f64() * 1e3);
-            points = decoder.finish(&sums)?.cloud.len();
-            all.push(start.elapsed().as_secs_f64() * 1e3);
+            self.add(&mut sums, 0..last)?;
+            let before_ms = ms(start);
+            self.add(&mut sums, last..last + 1)?;
+            frames.push(ms(start));
+            points = self.decoder.finish(&sums)?.cloud.len();
+            whole.push(ms(start));
+            after_last.push(ms(start) - before_ms);
         }
-        reading.sort_by(f64::total_cmp);
-        all.sort_by(f64::total_cmp);
-        let (reading_ms, all_ms) = (reading[reading.len() / 2], all[all.len() / 2]);
-        let gigabytes = (2 * WIDTH * HEIGHT * frames.len()) as f64 * 1e-9;
-        let share = gigabytes / (reading_ms * 1e-3) / read_gb_per_s;
+        let [frames_ms, after_last_ms, whole_ms] = [frames, after_last, whole].map(|mut ms| {
+            ms.sort_by(f64::total_cmp);
+            ms[ms.len() / 2]
+        });
+        let gigabytes = (2 * WIDTH * HEIGHT * self.frames.len()) as f64 * 1e-9;
+        let share = gigabytes / (frames_ms * 1e-3) / read_gb_per_s;
         println!(
-            "{{\"name\": \"decode/{name}\", \"frames\": {}, \"points\": {points}, \"frames_ms\": {reading_ms:.3}, \
-             \"frame_ms\": {:.3}, \"whole_ms\": {all_ms:.3}, \"share_of_read_bandwidth\": {share:.3}}}",
-            frames.len(),
-            reading_ms / frames.len() as f64,
+            "{{\"name\": \"decode/{}\", \"threads\": {threads}, \"frames\": {}, \"cells\": {}, \"points\": {points}, \
+             \"frames_ms\": {frames_ms:.3}, \"frame_ms\": {:.3}, \"after_last_ms\": {after_last_ms:.3}, \
+             \"whole_ms\": {whole_ms:.3}, \"share_of_read_bandwidth\": {share:.3}}}",
+            self.name,
+            self.frames.len(),
+            self.decoder.grid().len(),
+            frames_ms / self.frames.len() as f64,
         );
+        Ok(())
+    }
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
+/// Views from frames to points.
+fn decoding(read_gb_per_s: f64) -> Result<()> {
+    for (name, by_core) in VIEWS {
+        let view = View::new(name, by_core)?;
+        for threads in [1, rayon::current_num_threads()] {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()?;
+            pool.install(|| view.time(threads, read_gb_per_s))?;
+        }
     }
     Ok(())
+}
+
+/// What an instruction counter looks at.
+#[inline(never)]
+fn counted<T>(work: impl FnOnce() -> T) -> T {
+    black_box(work())
+}
+
+/// Runs one stage of one view once, on this thread, inside a function of its own.
+fn count(stage: &str, name: &str) -> Result<()> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .use_current_thread()
+        .build_global()?;
+    let mut views = VIEWS.iter().filter(|(view, _)| *view == name);
+    let &(name, by_core) = views.next().context("no such view")?;
+    let view = View::new(name, by_core)?;
+    let mut sums = view.decoder.begin();
+    let all = 0..view.frames.len();
+    match stage {
+        "frames" => counted(|| view.add(&mut sums, all)),
+        "points" => {
+            view.add(&mut sums, all)?;
+            counted(|| view.decoder.finish(&sums)).map(drop)?;
+            Ok(())
+        }
+        _ => anyhow::bail!("usage: capture [frames|points VIEW]"),
+    }
 }
 
 /// The camera process: one frame per period, and at its end how often it asked for memory.

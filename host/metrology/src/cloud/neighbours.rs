@@ -9,8 +9,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 use wide::f32x8;
 
-use crate::simd;
 use crate::space::Aabb;
+use flankscope_foundation::simd;
 
 /// A point and its number in the cloud.
 #[derive(Clone, Copy)]

@@ -18,11 +18,11 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::io::mesh::{MeshError, TriMesh, weld};
-use crate::simd;
 use crate::space::Aabb;
 use crate::space::morton::map_along_curve;
 use crate::space::unit_normal;
 use bvh::{Bvh, Found, PacketScratch, QUERIES};
+use flankscope_foundation::simd;
 pub use triangle::Feature;
 
 /// Points per parallel task. Fixed, so that hints and sums, and with them every bit, do not depend on the thread count.

@@ -12,6 +12,17 @@ impl DisjointSets {
         }
     }
 
+    /// Sets of consecutive members, each part numbered from zero.
+    pub fn beside_each_other(parts: &[Self]) -> Self {
+        let mut parents = Vec::new();
+        for part in parts {
+            let first = parents.len() as i32;
+            let moved = |&parent: &i32| if parent < 0 { parent } else { parent + first };
+            parents.extend(part.parents.iter().map(moved));
+        }
+        Self { parents }
+    }
+
     pub fn root(&mut self, mut member: usize) -> usize {
         while self.parents[member] >= 0 {
             let parent = self.parents[member] as usize;

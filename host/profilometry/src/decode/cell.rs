@@ -5,12 +5,13 @@ use std::f64::consts::TAU;
 use super::Decoder;
 use super::coded::CodedCell;
 use super::conditioned::Conditioned;
+use super::estimates::Estimates;
 use super::rays::Ray;
 use crate::accumulate::{Band, Merged};
 use crate::cloud::Depths;
 use crate::pattern::MAX_FREQUENCIES;
-use crate::phase::{self, CellNoise, PhaseEstimate};
-use crate::triangulate::depth_sigma_mm;
+use crate::phase::{self, CellNoise};
+use crate::triangulate::{Hit, depth_sigma_mm};
 use crate::unwrap::{self, Clue, Ladder, MIN_SEPARATION, nearest_turn};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -140,18 +141,18 @@ impl Decoder {
         view: &Conditioned<'_>,
         band: &Band,
         index: usize,
+        estimates: &mut Estimates<'_>,
         ray: &Ray,
     ) -> Result<Column, Lost> {
-        let noise = self.noise(band, index);
         let mut seen = [Seen::default(); MAX_FREQUENCIES];
         let mut last = None;
         for (set, seen) in seen.iter_mut().enumerate().take(self.patterns.sets.len()) {
-            let estimate = self.estimate(band, index, set, &noise)?;
+            let estimate = estimates.get(index, set)?;
             // Written so that a NaN fails.
-            if !(estimate.contrast() >= self.options.min_contrast) {
+            if !(estimate.light.contrast() >= self.options.min_contrast) {
                 return Err(Fate::LowContrast.into());
             }
-            if estimate.modulation_e < self.floor_e(band, index, set, &noise) {
+            if estimate.light.modulation_e < self.floor_e(band, index, set) {
                 return Err(Fate::LowModulation.into());
             }
             *seen = Seen {
@@ -185,8 +186,8 @@ impl Decoder {
                     let cell = CodedCell {
                         band,
                         index,
-                        finest: &estimate,
-                        noise: &noise,
+                        finest: &estimate.light,
+                        noise: &self.noise_anywhere(),
                     };
                     self.coded_order(code, &cell, clues, phases_rad)?
                 }
@@ -220,7 +221,7 @@ impl Decoder {
         Ok(Column {
             column_px,
             sigma_rad: phase.sigma_rad * view.frame_noise_ratio.max(1.0),
-            fringes_e_per_ms: estimate.modulation_e / exposed_ms,
+            fringes_e_per_ms: estimate.light.modulation_e / exposed_ms,
             clue_chi_square,
             separation: found.separation as f32,
             column_chi_square: phase.chi_square,
@@ -246,7 +247,8 @@ impl Decoder {
             };
         };
         let (re, im) = (difference.re[cell], difference.im[cell]);
-        let turned_rad = self.patterns.step_sign.factor() * f64::from(im).atan2(f64::from(re));
+        let turned_rad =
+            self.patterns.step_sign.factor() * phase::atan2(f64::from(im), f64::from(re));
         // Noise of the cell's own phases, smoothed less than the difference was.
         let sigma_rad = |set: usize| {
             let smoothing = difference.variance_ratio.sqrt() / view.sigma_ratios[set];
@@ -264,16 +266,19 @@ impl Decoder {
     /// Absolute phase of the finest frequency from all fine ones, weighted by their variances.
     fn fine_phase(&self, seen: &[Seen], absolute_rad: f64) -> FinePhase {
         let periods = self.patterns.finest().periods;
-        // Distances from the finest frequency's own phase, so that it stays as it is when it is alone.
-        let part = |(set, seen): (usize, &Seen)| {
-            let ratio = self.patterns.sets[set].periods / periods;
-            let expected_rad = ratio * absolute_rad;
-            let off_rad = (nearest_turn(seen.phase_rad, expected_rad) - expected_rad) / ratio;
-            (ratio > FINE_RATIO).then(|| (off_rad, (ratio / seen.sigma_rad).powi(2)))
-        };
-        let parts = || seen.iter().enumerate().filter_map(part);
-        let weight: f64 = parts().map(|(_, weight)| weight).sum();
-        let count = parts().count();
+        // Distances from the finest frequency's own phase, so that it stays as it is when it is alone, and weights.
+        let mut parts = [(0.0, 0.0); MAX_FREQUENCIES];
+        let (mut count, mut weight) = (0, 0.0);
+        for (set, seen) in self.patterns.sets.iter().zip(seen) {
+            let ratio = set.periods / periods;
+            if ratio > FINE_RATIO {
+                let expected_rad = ratio * absolute_rad;
+                let off_rad = (nearest_turn(seen.phase_rad, expected_rad) - expected_rad) / ratio;
+                parts[count] = (off_rad, (ratio / seen.sigma_rad).powi(2));
+                weight += parts[count].1;
+                count += 1;
+            }
+        }
         if count < 2 || !weight.is_finite() {
             return FinePhase {
                 absolute_rad,
@@ -281,8 +286,11 @@ impl Decoder {
                 chi_square: f32::NAN,
             };
         }
-        let mean = parts().map(|(off, weight)| off * weight).sum::<f64>() / weight;
-        let left = parts().map(|(off, weight)| (off - mean).powi(2) * weight);
+        let parts = &parts[..count];
+        let mean = parts.iter().map(|(off, weight)| off * weight).sum::<f64>() / weight;
+        let left = parts
+            .iter()
+            .map(|(off, weight)| (off - mean).powi(2) * weight);
         FinePhase {
             absolute_rad: absolute_rad + mean,
             sigma_rad: 1.0 / weight.sqrt(),
@@ -291,9 +299,10 @@ impl Decoder {
     }
 
     /// Least amplitude of a cell in electrons.
-    fn floor_e(&self, band: &Band, index: usize, set: usize, noise: &CellNoise) -> f64 {
-        let exposures = f64::from(band.phasor(set, index).exposures);
-        self.floors_dn[set] * noise.gain_e_per_dn * noise.pixels * exposures
+    fn floor_e(&self, band: &Band, index: usize, set: usize) -> f64 {
+        let exposures = f64::from(band.merged[set].exposures[index]);
+        let pixels = self.layout.grid.pixels_per_cell() as f64;
+        self.floors_dn[set] * self.sensor.gain_e_per_dn * pixels * exposures
     }
 
     /// Whether the residuals of a cell's frames exceed what noise alone explains (chi-square test).
@@ -333,56 +342,80 @@ impl Decoder {
         (freedom > 0 || found > 0.0).then_some((found, freedom))
     }
 
-    pub(super) fn noise(&self, band: &Band, index: usize) -> CellNoise {
-        let pixels = self.layout.grid.pixels_per_cell() as f64;
+    /// Noise of the cells of a view without dark frame.
+    pub(super) fn noise_anywhere(&self) -> CellNoise {
         CellNoise {
             gain_e_per_dn: self.sensor.gain_e_per_dn,
-            offset_dn: band
-                .dark
-                .get(index)
-                .map_or(self.sensor.offset_dn, |&dark| f64::from(dark) / pixels),
+            offset_dn: self.sensor.offset_dn,
             dark_variance_e2: self.sensor.dark_variance_e2(),
-            pixels,
+            pixels: self.layout.grid.pixels_per_cell() as f64,
         }
     }
 
-    pub(super) fn estimate(
-        &self,
-        band: &Band,
-        index: usize,
-        set: usize,
-        noise: &CellNoise,
-    ) -> Result<PhaseEstimate, Fate> {
-        let phasor = band.phasor(set, index);
-        if phasor.exposures == 0 {
-            return Err(Fate::Saturated);
+    fn noise(&self, band: &Band, index: usize) -> CellNoise {
+        let anywhere = self.noise_anywhere();
+        let dark = band.dark.get(index);
+        CellNoise {
+            offset_dn: dark.map_or(anywhere.offset_dn, |&dark| {
+                f64::from(dark) / anywhere.pixels
+            }),
+            ..anywhere
         }
+    }
+
+    /// Standard deviation of a cell's phase of one frequency, unsmoothed; `None` where every exposure was saturated.
+    pub(super) fn phase_sigma_rad(&self, band: &Band, index: usize, set: usize) -> Option<f64> {
+        let phasor = band.phasor(set, index);
         let steps = self.patterns.sets[set].steps;
         let sign = self.patterns.step_sign.factor();
-        Ok(phase::estimate(&phasor, steps, sign, noise))
+        let estimate = || phase::estimate(&phasor, steps, sign, &self.noise(band, index));
+        (phasor.exposures > 0).then(|| estimate().sigma_rad)
     }
 
-    pub(super) fn cell(
+    /// The cells of a band: first the column of each, then the depths of all that have one together.
+    pub(super) fn band_depths(
         &self,
         view: &Conditioned<'_>,
         band: &Band,
-        index: usize,
-        ray: &Ray,
-    ) -> Result<CellResult, Lost> {
-        let column = self.column(view, band, index, ray)?;
-        let direction = self.lit_direction(view, band.first_cell + index, ray);
-        let hit = self
-            .triangulator
-            .intersect(direction, column.column_px)
-            .ok_or(Fate::OutsideVolume)?;
+        rays: &[Ray],
+        results: &mut [CellResult],
+    ) {
+        let mut estimates = Estimates::new(self, band);
+        let (mut columns, mut sheets) = (Vec::new(), Vec::new());
+        for (index, (result, ray)) in results.iter_mut().zip(rays).enumerate() {
+            match self.column(view, band, index, &mut estimates, ray) {
+                Ok(column) => {
+                    let direction = self.lit_direction(view, band.first_cell + index, ray);
+                    sheets.push((direction, column.column_px));
+                    columns.push((index, column));
+                }
+                Err(lost) => *result = lost.into(),
+            }
+        }
+        let hits = self.triangulator.intersect_all(&sheets);
+        for ((index, column), ((direction, _), hit)) in columns.iter().zip(sheets.iter().zip(hits))
+        {
+            let point = self.point(column, *direction, hit);
+            results[*index] = point.unwrap_or_else(CellResult::rejected);
+        }
+    }
+
+    /// The point of a cell, if it lies in the volume and in fringes that count.
+    fn point(
+        &self,
+        column: &Column,
+        direction: [f64; 2],
+        hit: Option<Hit>,
+    ) -> Result<CellResult, Fate> {
+        let hit = hit.ok_or(Fate::OutsideVolume)?;
         if self
             .volume
             .is_some_and(|volume| !(volume.near_mm..=volume.far_mm).contains(&hit.depth_mm))
         {
-            return Err(Fate::OutsideVolume.into());
+            return Err(Fate::OutsideVolume);
         }
-        if !self.triangulator.is_lit(direction, hit.depth_mm) {
-            return Err(Fate::OutsideProjector.into());
+        if !self.triangulator.is_lit(&hit) {
+            return Err(Fate::OutsideProjector);
         }
         let periods = self.patterns.finest().periods;
         let depth_mm =

@@ -13,7 +13,7 @@ use super::{DecodeError, Decoder};
 use crate::accumulate::Band;
 use crate::gray::{GrayCode, MAX_BITS, StripePosition};
 use crate::pattern::PatternSet;
-use crate::phase::{CellNoise, PhaseEstimate};
+use crate::phase::{CellNoise, LightEstimate};
 use crate::unwrap::{Clue, Decision, Ladder, MIN_SEPARATION, decide};
 
 /// A code laid on the phase of the finest frequency.
@@ -41,8 +41,8 @@ const BIT_SEPARATION: f64 = 0.5 * MIN_SEPARATION;
 pub(super) struct CodedCell<'a> {
     pub band: &'a Band,
     pub index: usize,
-    /// Estimate of its finest fringes.
-    pub finest: &'a PhaseEstimate,
+    /// Light of its finest fringes.
+    pub finest: &'a LightEstimate,
     pub noise: &'a CellNoise,
 }
 

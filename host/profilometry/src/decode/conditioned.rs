@@ -6,7 +6,6 @@ use super::Decoder;
 use super::cell::FINE_RATIO;
 use crate::accumulate::{Accumulator, Band};
 use crate::cells::Grid;
-use crate::phase::PhaseEstimate;
 use crate::phase::smoothing::{self, Blur, Difference};
 
 /// Phasors to take phases from.
@@ -76,11 +75,11 @@ impl Decoder {
     /// Weight of a cell's phase of one frequency among its neighbours: by its variance, but levelling off where the phase alone makes the
     /// order certain. Otherwise a highlight beside an edge would dominate the cells beyond the edge.
     fn phase_weight(&self, band: &Band, index: usize, set: usize) -> f32 {
-        let noise = self.noise(band, index);
+        let sigma_rad = self.phase_sigma_rad(band, index, set);
         let enough_rad2 = self.enough_rad * self.enough_rad;
-        let weight = |phase: PhaseEstimate| enough_rad2 / (phase.sigma_rad.powi(2) + enough_rad2);
-        let estimate = self.estimate(band, index, set, &noise);
-        estimate.map_or(0.0, |phase| weight(phase) as f32)
+        sigma_rad.map_or(0.0, |sigma_rad| {
+            (enough_rad2 / (sigma_rad * sigma_rad + enough_rad2)) as f32
+        })
     }
 
     /// Sigma of the Gaussian over the phasors in cells: of the finest fringes, and of coarser ones.

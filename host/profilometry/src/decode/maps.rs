@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use super::estimates::Estimates;
 use super::{DecodeError, Decoded, Decoder};
 use crate::accumulate::Accumulator;
 use crate::cells::Grid;
@@ -68,21 +69,23 @@ impl Decoder {
         };
         let finest = self.patterns.finest();
         for (band, smoothed) in accumulator.bands.iter().zip(&view.accumulator.bands) {
+            let mut estimates = Estimates::new(self, band);
+            let mut of_smoothed = Estimates::new(self, smoothed);
             for index in 0..band.cells {
                 let cell = band.first_cell + index;
                 let place = places[cell];
                 let ray = &self.rays[cell];
                 maps.pixel_px[2 * place..2 * place + 2].copy_from_slice(&ray.pixel);
-                let noise = self.noise(band, index);
                 for set in 0..sets {
-                    if let Ok(seen) = self.estimate(band, index, set, &noise) {
+                    if let Ok(seen) = estimates.get(index, set) {
                         let at = set * size + place;
                         maps.phase_rad[at] = seen.phase_rad.rem_euclid(TAU) as f32;
-                        maps.modulation_e[at] = seen.modulation_e as f32;
-                        maps.mean_e[at] = seen.mean_e as f32;
+                        maps.modulation_e[at] = seen.light.modulation_e as f32;
+                        maps.mean_e[at] = seen.light.mean_e as f32;
                     }
                 }
-                if let Ok(column) = self.column(&view, smoothed, index, ray) {
+                let column = self.column(&view, smoothed, index, &mut of_smoothed, ray);
+                if let Ok(column) = column {
                     maps.column_px[place] = column.column_px;
                     let turns = finest.phase_rad(column.column_px, self.projector_width_px) / TAU;
                     let wrapped = f64::from(maps.phase_rad[(sets - 1) * size + place]) / TAU;

@@ -5,6 +5,7 @@ mod certainty;
 mod coded;
 mod conditioned;
 mod error;
+mod estimates;
 mod floor;
 mod maps;
 mod neighbourhood;
@@ -41,6 +42,7 @@ use cell::{CellResult, Fate};
 use coded::CodeLadder;
 use conditioned::Conditioned;
 pub use error::DecodeError;
+use estimates::Estimates;
 pub use maps::PhaseMaps;
 use neighbourhood::{Neighbourhood, Values};
 pub use options::{DecodeOptions, GridKind, OrderConsistency};
@@ -321,9 +323,9 @@ impl Decoder {
         let view = self.condition(accumulator);
         let mut results = self.depths(&view);
         let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
-        around.judge_exposures(&mut results, self.disagreements(&view));
+        around.judge_exposures(&mut results, &self.disagreements(&view));
         around.judge_orders(&mut results, self.options.order_consistency);
-        around.raise_to_frames(&mut results, self.frame_scatter(&view));
+        around.raise_to_frames(&mut results, &self.frame_scatter(&view));
         around.raise_uncertainties(&mut results);
         certainty::keep_certain(&mut results, self.options.max_sigma_z_mm);
         if let (Some(options), Some(fringes_dn)) = (&self.options.mask, &fringes_dn) {
@@ -368,11 +370,7 @@ impl Decoder {
         }
         bands.par_iter().zip(parts).for_each(|(band, part)| {
             let rays = &self.rays[band.first_cell..][..band.cells];
-            for (index, (result, ray)) in part.iter_mut().zip(rays).enumerate() {
-                *result = self
-                    .cell(view, band, index, ray)
-                    .unwrap_or_else(CellResult::from);
-            }
+            self.band_depths(view, band, rays, part);
         });
         results
     }
@@ -406,9 +404,9 @@ impl Decoder {
         }
         let finest = self.layout.steps.len() - 1;
         let of_band = |band: &Band| -> Vec<f64> {
+            let light = self.lights(band, finest);
             let cell = |index: usize| {
-                let noise = self.noise(band, index);
-                let estimate = self.estimate(band, index, finest, &noise).ok()?;
+                let estimate = light(index)?;
                 let (chi_square, freedom) = self.chi_square(band, index);
                 let lit = estimate.contrast() >= self.options.min_contrast && freedom > 0;
                 lit.then(|| f64::from(chi_square) / consistency::median(freedom))
@@ -432,21 +430,22 @@ impl Decoder {
             direct_e: 0.0,
             global_e: 0.0,
         };
-        let of_cell = |decoder: &Self, band: &Band, index: usize| {
-            let estimate = decoder.estimate(band, index, finest, &decoder.noise(band, index));
-            estimate.map_or(dark, |own| {
-                LightParts::from_phase(&own, decoder.fringe_contrast)
-            })
-        };
         let of_band = |(at, band): (usize, &Band)| -> Vec<LightParts> {
-            let second = second.map(|(decoder, sums)| (decoder, &sums.bands[at]));
-            let result = |index: usize| &results[band.first_cell + index];
-            let points = (0..band.cells).filter(|&index| result(index).fate == Fate::Point);
-            let light = points.map(|index| match second {
-                Some((decoder, band)) if result(index).by_second => of_cell(decoder, band, index),
-                _ => of_cell(self, band, index),
+            let own = self.lights(band, finest);
+            let second = second.map(|(decoder, sums)| {
+                let light = decoder.lights(&sums.bands[at], finest);
+                (light, decoder.fringe_contrast)
             });
-            light.collect()
+            let parts = |cell: &CellResult, index: usize| {
+                let (light, contrast) = match &second {
+                    Some((light, contrast)) if cell.by_second => (light(index), *contrast),
+                    _ => (own(index), self.fringe_contrast),
+                };
+                light.map_or(dark, |light| LightParts::from_fringes(&light, contrast))
+            };
+            let cells = results[band.first_cell..][..band.cells].iter().enumerate();
+            let points = cells.filter(|(_, cell)| cell.fate == Fate::Point);
+            points.map(|(index, cell)| parts(cell, index)).collect()
         };
         let bands: Vec<_> = accumulator
             .bands
@@ -467,19 +466,17 @@ impl Decoder {
     fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
         let of_set = |set: usize| -> Option<f64> {
             let of_band = |band: &Band| -> Vec<f64> {
-                let cell = |index: usize| {
-                    let noise = self.noise(band, index);
-                    let result = &results[band.first_cell + index];
-                    let seen = result.fate == Fate::Point && !result.by_second;
-                    let estimate = seen.then(|| self.estimate(band, index, set, &noise).ok())??;
-                    Some(estimate.contrast())
-                };
-                (0..band.cells).filter_map(cell).collect()
+                let light = self.lights(band, set);
+                let cells = results[band.first_cell..][..band.cells].iter().enumerate();
+                let seen = cells.filter(|(_, cell)| cell.fate == Fate::Point && !cell.by_second);
+                seen.filter_map(|(index, _)| Some(light(index)?.contrast()))
+                    .collect()
             };
             let bands: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
             median(&mut bands.concat())
         };
-        (0..self.patterns.sets.len()).filter_map(of_set).collect()
+        let sets = (0..self.patterns.sets.len()).into_par_iter();
+        sets.filter_map(of_set).collect()
     }
 
     /// Number of orders of the finest fringes between two points of a camera ray, to check whether a point has the expected order. `None`
@@ -543,15 +540,15 @@ impl Decoder {
     fn shown(&self, accumulator: &Accumulator, view: &Conditioned<'_>) -> Vec<CellColumn> {
         let finest = self.layout.steps.len() - 1;
         let of_band = |(band, conditioned): (&Band, &Band)| -> Vec<CellColumn> {
+            let light = self.lights(band, finest);
+            let mut estimates = Estimates::new(self, conditioned);
             let cell = |index: usize| {
                 let ray = &self.rays[band.first_cell + index];
-                let noise = self.noise(band, index);
-                let (mean_e, contrast) = self
-                    .estimate(band, index, finest, &noise)
-                    .map_or((f64::NAN, f64::NAN), |estimate| {
-                        (estimate.mean_e, estimate.contrast())
-                    });
-                let column = self.column(view, conditioned, index, ray).ok();
+                let (mean_e, contrast) = light(index).map_or((f64::NAN, f64::NAN), |light| {
+                    (light.mean_e, light.contrast())
+                });
+                let column = self.column(view, conditioned, index, &mut estimates, ray);
+                let column = column.ok();
                 CellColumn {
                     pixel: ray.pixel,
                     mean_e,

@@ -57,11 +57,12 @@ impl<'a> Neighbourhood<'a> {
     }
 
     /// Drops cells about which the exposures disagree, though in each cell alone noise hides it. `found` is in predicted variances.
-    pub fn judge_exposures(&self, results: &mut [CellResult], found: Values) {
+    pub fn judge_exposures(&self, results: &mut [CellResult], found: &Values) {
         if found.iter().all(Option::is_none) {
             return;
         }
-        for (result, apart) in results.iter_mut().zip(self.mean(found, NEAR_UNITS)) {
+        let around = self.mean(|cell| found[cell], NEAR_UNITS);
+        for (result, apart) in results.iter_mut().zip(around) {
             if result.fate == Fate::Point && apart > APART_VARIANCES {
                 result.reject(Fate::ExposuresDisagree);
             }
@@ -76,20 +77,18 @@ impl<'a> Neighbourhood<'a> {
             decided && result.clue_chi_square.is_finite()
         };
         // In distances to the next order: bright cells, whose predicted noise is small, must not dominate dim ones.
-        let predicted = |result: &CellResult| {
-            let variance = result.separation.powi(-2);
-            asked(result).then_some(variance)
-        };
         let missed = |result: &CellResult| {
-            predicted(result).map(|variance| result.clue_chi_square * variance)
+            let variance = result.separation.powi(-2);
+            asked(result).then_some([result.clue_chi_square * variance, variance])
         };
         let agreed = |result: &CellResult| {
             let agreed = f32::from(u8::from(result.fate == Fate::Point));
             asked(result).then_some(agreed)
         };
-        let missed = self.mean(results.iter().map(missed).collect(), NEAR_UNITS);
-        let predicted = self.mean(results.iter().map(predicted).collect(), NEAR_UNITS);
-        let agreed = self.mean(results.iter().map(agreed).collect(), WIDE_UNITS);
+        let ([missed, predicted], agreed) = rayon::join(
+            || self.means(|cell| missed(&results[cell]), NEAR_UNITS),
+            || self.mean(|cell| agreed(&results[cell]), WIDE_UNITS),
+        );
         let around = missed.iter().zip(&predicted).zip(&agreed);
         for (result, ((missed, predicted), agreed)) in results.iter_mut().zip(around) {
             // By the noise measured about it, and whatever a bright cell's own is: by how far its neighbours miss.
@@ -104,11 +103,12 @@ impl<'a> Neighbourhood<'a> {
     }
 
     /// Raises uncertainties to the scatter of the frames about each cell, in predicted variances.
-    pub fn raise_to_frames(&self, results: &mut [CellResult], found: Values) {
+    pub fn raise_to_frames(&self, results: &mut [CellResult], found: &Values) {
         if found.iter().all(Option::is_none) {
             return;
         }
-        for (result, variance) in results.iter_mut().zip(self.mean(found, NEAR_UNITS)) {
+        let around = self.mean(|cell| found[cell], NEAR_UNITS);
+        for (result, variance) in results.iter_mut().zip(around) {
             if variance > CHANCE_VARIANCES {
                 result.sigma_z_mm *= variance.sqrt();
             }
@@ -121,18 +121,23 @@ impl<'a> Neighbourhood<'a> {
             let found = result.column_chi_square;
             (result.fate == Fate::Point && found.is_finite()).then_some(found)
         };
-        let frequencies: Values = results.iter().map(disagreement).collect();
-        let mut variances = vec![1.0; results.len()];
-        if frequencies.iter().any(Option::is_some) {
-            variances = self.mean(frequencies, NEAR_UNITS);
-        }
-        if let Grid::Blocks(grid) = self.grid {
-            let neighbours = self.mean(self.bends(grid, results), NEAR_UNITS);
-            for (variance, neighbours) in variances.iter_mut().zip(neighbours) {
-                *variance = variance.max(neighbours);
+        let by_frequencies = || {
+            let known = results.iter().any(|result| disagreement(result).is_some());
+            known.then(|| self.mean(|cell| disagreement(&results[cell]), NEAR_UNITS))
+        };
+        let by_neighbours = || match self.grid {
+            Grid::Blocks(grid) => {
+                let bends = self.bends(grid, results);
+                Some(self.mean(|cell| bends[cell], NEAR_UNITS))
             }
-        }
-        for (result, variance) in results.iter_mut().zip(variances) {
+            Grid::Cores(_) => None,
+        };
+        let (frequencies, neighbours) = rayon::join(by_frequencies, by_neighbours);
+        let of = |variances: &Option<Vec<f32>>, cell: usize| {
+            variances.as_ref().map_or(0.0, |variances| variances[cell])
+        };
+        for (cell, result) in results.iter_mut().enumerate() {
+            let variance = of(&frequencies, cell).max(of(&neighbours, cell));
             if variance > CHANCE_VARIANCES {
                 result.sigma_z_mm *= variance.sqrt();
             }
@@ -160,8 +165,16 @@ impl<'a> Neighbourhood<'a> {
         bends
     }
 
-    fn mean(&self, values: Values, units: f64) -> Vec<f32> {
-        self.plane.mean(&values, units * self.unit_cells)
+    fn mean(&self, value: impl Fn(usize) -> Option<f32> + Sync, units: f64) -> Vec<f32> {
+        self.plane.mean(value, units * self.unit_cells)
+    }
+
+    fn means<const N: usize>(
+        &self,
+        values: impl Fn(usize) -> Option<[f32; N]> + Sync,
+        units: f64,
+    ) -> [Vec<f32>; N] {
+        self.plane.means(values, units * self.unit_cells)
     }
 }
 
@@ -169,7 +182,8 @@ impl<'a> Neighbourhood<'a> {
 /// together, and their depths lie on the surface still, but not in a row.
 fn evenly_spaced(triple: &[CellResult]) -> bool {
     let [before, here, after] = [0, 1, 2].map(|at: usize| triple[at].direction);
-    let step = (after[0] - before[0]).hypot(after[1] - before[1]);
+    let square = |[x, y]: [f64; 2]| x * x + y * y;
+    let step = [0, 1].map(|axis| after[axis] - before[axis]);
     let off = [0, 1].map(|axis| here[axis] - 0.5 * (before[axis] + after[axis]));
-    off[0].hypot(off[1]) <= UNEVEN_RATIO * step
+    square(off) <= UNEVEN_RATIO * UNEVEN_RATIO * square(step)
 }

@@ -61,11 +61,6 @@ impl Pinhole {
         textfile::require(&[(inverts, &key("distortion"), distortion, "folds over inside the image (its inverse does not exist in a corner): are the coefficients in the order k1, k2, p1, p2, k3?")])
     }
 
-    /// Whether the lens has no distortion at all.
-    pub(crate) fn is_ideal(&self) -> bool {
-        self.distortion == [0.0; 5] && self.residual.is_none()
-    }
-
     /// The pixel that a point of the undistorted image plane `z = 1` falls on.
     pub fn pixel(&self, undistorted: [f64; 2]) -> [f64; 2] {
         let [x, y] = self.distort(undistorted).value;
@@ -97,7 +92,8 @@ impl Pinhole {
         distorted
     }
 
-    fn brown(&self, [x, y]: [f64; 2]) -> Distorted {
+    #[inline(always)]
+    pub(crate) fn brown(&self, [x, y]: [f64; 2]) -> Distorted {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));

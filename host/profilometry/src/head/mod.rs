@@ -30,6 +30,7 @@ pub use calibration::{
     ApartRecord, BoardRecord, CalibrationRecord, FocusRecord, HoldOut, RecordError,
 };
 pub(crate) use calibration::{FRAMES, geometry_blake3};
+pub(crate) use camera::Distorted;
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
 pub use fringes::Fringes;

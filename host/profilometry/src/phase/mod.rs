@@ -3,11 +3,13 @@
 //! With `I_n = A + B cos(phase + TAU n / N)` the phasor `C = sum I_n exp(-j TAU n / N)` is `(N B / 2) exp(j phase)`.
 //! N steps let no harmonic through to the phase but those of order m N ± 1.
 
+mod arctangent;
 pub mod mask;
 pub mod parts;
 pub(crate) mod smoothing;
 
 use crate::accumulate::Phasor;
+pub(crate) use arctangent::atan2;
 
 /// Conversion of a cell's counts to electrons.
 #[derive(Clone, Copy, Debug)]
@@ -23,20 +25,41 @@ pub struct CellNoise {
 }
 
 /// Estimate from a phasor. Electrons are totals over the cell's pixels and the exposures used, per phase step.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PhaseEstimate {
     /// Wrapped phase, -PI to PI.
     pub phase_rad: f64,
-    /// Amplitude B.
-    pub modulation_e: f64,
-    /// Mean A, ambient light included.
-    pub mean_e: f64,
+    /// Its amplitude and mean.
+    pub light: LightEstimate,
     /// Predicted standard deviation of the phase.
     pub sigma_rad: f64,
 }
 
-impl PhaseEstimate {
+/// Modulation and mean of a phasor of `steps` frames, without its phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LightEstimate {
+    /// Amplitude B.
+    pub modulation_e: f64,
+    /// Mean A, ambient light included.
+    pub mean_e: f64,
+}
+
+impl LightEstimate {
+    /// From the sums of so many steps.
+    #[inline(always)]
+    pub fn new(phasor: &Phasor, steps: u32, noise: &CellNoise) -> Self {
+        let count = f64::from(steps);
+        let (re, im) = (f64::from(phasor.re), f64::from(phasor.im));
+        let offset_dn = f64::from(phasor.exposures) * noise.pixels * noise.offset_dn;
+        Self {
+            // Counts are far from the overflow that `hypot` guards against at ten times the cost.
+            modulation_e: 2.0 / count * (re * re + im * im).sqrt() * noise.gain_e_per_dn,
+            mean_e: (f64::from(phasor.sum) / count - offset_dn) * noise.gain_e_per_dn,
+        }
+    }
+
     /// B / A, 0 for a cell without light.
+    #[inline(always)]
     pub fn contrast(&self) -> f64 {
         if self.mean_e > 0.0 {
             self.modulation_e / self.mean_e
@@ -51,29 +74,32 @@ impl PhaseEstimate {
 /// The variance is that of a phasor of independent frames with Poisson noise of their own light plus the dark
 /// variance: `var = 2 V / (N B^2)` with `V = A + dark variance` for N >= 4 (exact in first order). With three steps
 /// the light's own noise follows the fringe: `var = (4 / (9 B^2)) (3/2 V - 3/4 B cos 3 phase)`.
+#[inline(always)]
 pub fn estimate(phasor: &Phasor, steps: u32, step_sign: f64, noise: &CellNoise) -> PhaseEstimate {
+    let light = LightEstimate::new(phasor, steps, noise);
+    let LightEstimate {
+        modulation_e,
+        mean_e,
+    } = light;
     let count = f64::from(steps);
     let exposures = f64::from(phasor.exposures);
     let (re, im) = (f64::from(phasor.re), f64::from(phasor.im));
-    // Counts are far from the overflow that `hypot` guards against at ten times the cost.
-    let modulation_e = 2.0 / count * (re * re + im * im).sqrt() * noise.gain_e_per_dn;
-    let offset_dn = exposures * noise.pixels * noise.offset_dn;
-    let mean_e = (f64::from(phasor.sum) / count - offset_dn) * noise.gain_e_per_dn;
     // Read noise can push the mean of an unlit cell below zero; its variance it cannot.
     let frame_variance_e2 = mean_e.max(0.0) + exposures * noise.pixels * noise.dark_variance_e2;
-    let raw_phase_rad = im.atan2(re);
+    let square_e2 = modulation_e * modulation_e;
     let variance = if steps == 3 {
-        let signal_term = 0.75 * modulation_e * (3.0 * raw_phase_rad).cos();
+        // cos 3 a = cos a (4 cos^2 a - 3)
+        let square = re * re + im * im;
+        let cos_of_three = re * (4.0 * re * re - 3.0 * square) / (square * square.sqrt());
+        let signal_term = 0.75 * modulation_e * cos_of_three;
         // With more modulation than light (an impossible, noisy cell) the difference could turn negative.
-        4.0 / 9.0 * (1.5 * frame_variance_e2 - signal_term).max(0.5 * frame_variance_e2)
-            / modulation_e.powi(2)
+        4.0 / 9.0 * (1.5 * frame_variance_e2 - signal_term).max(0.5 * frame_variance_e2) / square_e2
     } else {
-        2.0 * frame_variance_e2 / (count * modulation_e.powi(2))
+        2.0 * frame_variance_e2 / (count * square_e2)
     };
     PhaseEstimate {
-        phase_rad: step_sign * raw_phase_rad,
-        modulation_e,
-        mean_e,
+        phase_rad: step_sign * atan2(im, re),
+        light,
         sigma_rad: variance.sqrt(),
     }
 }
@@ -121,7 +147,8 @@ mod tests {
                     "{steps} steps, {phase}: {got:?}"
                 );
                 assert!(
-                    (got.modulation_e - 200.0).abs() < 1e-3 && (got.mean_e - 500.0).abs() < 1e-3
+                    (got.light.modulation_e - 200.0).abs() < 1e-3
+                        && (got.light.mean_e - 500.0).abs() < 1e-3
                 );
                 let backwards = estimate(&phasor, steps, -1.0, &NOISE);
                 assert_eq!(backwards.phase_rad, -got.phase_rad);

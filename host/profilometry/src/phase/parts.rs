@@ -11,7 +11,7 @@
 //! Assumed: global light is uniform over a fringe; the part of it that still has fringes counts as direct. Without a stated c it is
 //! taken as 1, which makes D a lower and G an upper bound.
 
-use super::PhaseEstimate;
+use super::LightEstimate;
 
 /// Electrons with every mirror on, summed over a cell's pixels and the exposures used.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub struct LightParts {
 
 impl LightParts {
     /// Separates direct from global light by the finest fringes, which global light follows least.
-    pub fn from_phase(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
+    pub fn from_fringes(finest: &LightEstimate, fringe_contrast: f64) -> Self {
         let direct_e = 2.0 * finest.modulation_e / fringe_contrast;
         // Noise can leave less than nothing.
         let global_e = (2.0 * finest.mean_e - direct_e).max(0.0);

@@ -1,9 +1,18 @@
 //! Optional smoothing of phasors before phases are computed, and of other figures of cells.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
+use flankscope_foundation::simd::with_widest;
 use rayon::prelude::*;
 
 use crate::accumulate::{Accumulator, Band};
-use crate::cells::{CellGrid, Grid};
+use crate::cells::{CellGrid, Grid, Span};
+
+/// Cells of a row whose sums are found together: four of the widest vectors.
+const LANES: usize = 32;
+/// Rows of a unit of parallel work.
+const BAND_ROWS: usize = 16;
 
 /// Separable Gaussian on a dense row-major plane; outside counts as zero.
 pub(crate) struct Blur {
@@ -51,41 +60,87 @@ impl Blur {
         product(cells as isize) / product(0)
     }
 
+    /// Smooths along the rows, then across them. Every cell's terms keep their order, whatever the processor and the threads.
     pub fn apply(&self, plane: &mut [f32], columns: usize) {
-        if columns == 0 {
+        if plane.is_empty() || columns == 0 {
             return;
         }
         let radius = self.weights.len() - 1;
-        plane.par_chunks_mut(columns).for_each(|row| {
-            let mut padded = vec![0.0; columns + 2 * radius];
+        let stride = columns.next_multiple_of(LANES);
+        let mut along = vec![0.0; plane.len() / columns * stride];
+        let rows = along.par_chunks_mut(stride).zip(plane.par_chunks(columns));
+        let padded = || vec![0.0; stride + 2 * radius];
+        rows.for_each_init(padded, |padded, (out, row)| {
             padded[radius..radius + columns].copy_from_slice(row);
-            // Distance by distance over the whole row, which the compiler vectorises; every cell's terms keep their order.
-            for (value, own) in row.iter_mut().zip(&padded[radius..]) {
-                *value = self.weights[0] * own;
+            with_widest(
+                #[inline(always)]
+                || self.along_row(padded, out),
+            );
+        });
+        let bands = plane.par_chunks_mut(BAND_ROWS * columns).enumerate();
+        bands.for_each(|(band, out)| {
+            with_widest(
+                #[inline(always)]
+                || self.across_rows(&along, stride, band * BAND_ROWS, out, columns),
+            );
+        });
+    }
+
+    /// One row, which lies in `padded` with zeros about it.
+    #[inline(always)]
+    fn along_row(&self, padded: &[f32], out: &mut [f32]) {
+        let radius = self.weights.len() - 1;
+        for (block, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+            // What the block's sums reach.
+            let reached = &padded[block * LANES..][..LANES + 2 * radius];
+            let own = &reached[radius..][..LANES];
+            let mut sums = [0.0; LANES];
+            for lane in 0..LANES {
+                sums[lane] = self.weights[0] * own[lane];
             }
-            for (distance, weight) in self.weights.iter().enumerate().skip(1) {
-                let (before, after) = (&padded[radius - distance..], &padded[radius + distance..]);
-                for ((value, before), after) in row.iter_mut().zip(before).zip(after) {
-                    *value += weight * (before + after);
+            let before = reached[..radius + LANES - 1].array_windows::<LANES>().rev();
+            let after = reached[radius + 1..].array_windows::<LANES>();
+            for ((before, after), weight) in before.zip(after).zip(&self.weights[1..]) {
+                for lane in 0..LANES {
+                    sums[lane] += weight * (before[lane] + after[lane]);
                 }
             }
-        });
-        let source = plane.to_vec();
-        let rows = source.len() / columns;
-        plane
-            .par_chunks_mut(columns)
-            .enumerate()
-            .for_each(|(row, out)| {
-                out.fill(0.0);
+            *out = sums;
+        }
+    }
+
+    /// Some rows of the plane from all rows, so many columns at a time that their sums stay in registers.
+    #[inline(always)]
+    fn across_rows(
+        &self,
+        along: &[f32],
+        stride: usize,
+        first_row: usize,
+        out: &mut [f32],
+        columns: usize,
+    ) {
+        let radius = self.weights.len() - 1;
+        let above = self.weights[1..].iter().rev();
+        let kernel: Vec<f32> = above.chain(&self.weights).copied().collect();
+        for left in (0..columns).step_by(LANES) {
+            for (row, out) in out.chunks_mut(columns).enumerate() {
+                let row = first_row + row;
                 let first = row.saturating_sub(radius);
-                let last = (row + radius).min(rows - 1);
-                for other in first..=last {
-                    let weight = self.weights[row.abs_diff(other)];
-                    for (value, from) in out.iter_mut().zip(&source[other * columns..][..columns]) {
-                        *value += weight * from;
+                let rows = along[first * stride..].chunks_exact(stride);
+                let mut sums = [0.0; LANES];
+                for (from, weight) in rows.zip(&kernel[first + radius - row..]) {
+                    let Some(from) = from[left..].first_chunk::<LANES>() else {
+                        continue;
+                    };
+                    for lane in 0..LANES {
+                        sums[lane] += weight * from[lane];
                     }
                 }
-            });
+                let out = &mut out[left..];
+                let count = out.len().min(LANES);
+                out[..count].copy_from_slice(&sums[..count]);
+            }
+        }
     }
 }
 
@@ -108,7 +163,7 @@ impl Difference {
         grid: &CellGrid,
         [set, reference]: [usize; 2],
         blur: &Blur,
-        weight: impl Fn(&Band, usize) -> f32,
+        weight: impl Fn(&Band, usize) -> f32 + Sync,
     ) -> Self {
         let turned = |band: &Band, cell: usize| {
             let (own, other) = (band.phasor(set, cell), band.phasor(reference, cell));
@@ -119,11 +174,12 @@ impl Difference {
                 (own.im * other.re - own.re * other.im) * share,
             ]
         };
-        let [re, im] = [0, 1].map(|part| {
+        let part = |part: usize| {
             let mut plane = dense(accumulator, grid, |band, cell| turned(band, cell)[part]);
             blur.apply(&mut plane, grid.columns);
             sparse(grid, &plane)
-        });
+        };
+        let (re, im) = rayon::join(|| part(0), || part(1));
         Self {
             re,
             im,
@@ -143,11 +199,13 @@ fn sparse(grid: &CellGrid, plane: &[f32]) -> Vec<f32> {
 }
 
 /// Cells laid into a plane, for means over those about each: blocks as they lie, cores into squares of a core's pitch, which
-/// hold one each, more or less.
+/// hold one each, more or less. The plane ends where the cells do.
 pub(crate) struct CellPlane<'a> {
     grid: &'a Grid,
     columns: usize,
     rows: usize,
+    /// First column of blocks that has any.
+    left: usize,
     /// Position of each core, for a fibre bundle.
     squares: Vec<u32>,
 }
@@ -156,10 +214,15 @@ impl<'a> CellPlane<'a> {
     pub fn new(grid: &'a Grid) -> Self {
         let cores = match grid {
             Grid::Blocks(blocks) => {
+                let spans = (0..blocks.rows).map(|row| blocks.span(row));
+                let spans: Vec<Span> = spans.filter(|span| !span.is_empty()).collect();
+                let left = spans.iter().map(|span| span.begin).min().unwrap_or(0);
+                let right = spans.iter().map(|span| span.end).max().unwrap_or(0);
                 return Self {
                     grid,
-                    columns: blocks.columns,
+                    columns: right - left,
                     rows: blocks.rows,
+                    left,
                     squares: Vec::new(),
                 };
             }
@@ -168,58 +231,94 @@ impl<'a> CellPlane<'a> {
         let side_px = cores.pitch_px().max(1.0);
         let square = |&[x, y]: &[f64; 2]| [x, y].map(|px| (px.max(0.0) / side_px) as usize);
         let squares: Vec<[usize; 2]> = cores.seen_px().iter().map(square).collect();
-        let size = |axis: usize| squares.iter().map(|at| at[axis] + 1).max().unwrap_or(0);
-        let (columns, rows) = (size(0), size(1));
-        let place = |[column, row]: &[usize; 2]| (row * columns + column) as u32;
+        let size = |axis: usize| {
+            let along = squares.iter().map(|at| at[axis]);
+            let first = along.clone().min().unwrap_or(0);
+            (first, along.max().map_or(0, |last| last + 1 - first))
+        };
+        let ((left, columns), (top, rows)) = (size(0), size(1));
+        let place = |[column, row]: &[usize; 2]| ((row - top) * columns + column - left) as u32;
         Self {
             grid,
             columns,
             rows,
+            left: 0,
             squares: squares.iter().map(place).collect(),
         }
     }
 
     /// Gaussian mean about each cell over the cells that have a value, sigma in cells; 0 where none has.
-    pub fn mean(&self, values: &[Option<f32>], sigma_cells: f64) -> Vec<f32> {
-        let Some(blur) = Blur::new(sigma_cells) else {
-            return values.iter().map(|value| value.unwrap_or(0.0)).collect();
-        };
-        let mut sums = self.lay(values, |value| value.unwrap_or(0.0));
-        let mut weights = self.lay(values, |value| f32::from(u8::from(value.is_some())));
-        blur.apply(&mut sums, self.columns);
-        blur.apply(&mut weights, self.columns);
-        for (sum, weight) in sums.iter_mut().zip(weights) {
-            *sum /= weight.max(f32::MIN_POSITIVE);
-        }
-        match self.grid {
-            Grid::Blocks(grid) => sparse(grid, &sums),
-            Grid::Cores(_) => {
-                let squares = self.squares.iter();
-                squares.map(|&square| sums[square as usize]).collect()
-            }
-        }
+    pub fn mean(&self, value: impl Fn(usize) -> Option<f32> + Sync, sigma_cells: f64) -> Vec<f32> {
+        let [mean] = self.means(|cell| value(cell).map(|value| [value]), sigma_cells);
+        mean
     }
 
-    fn lay(&self, values: &[Option<f32>], of: impl Fn(&Option<f32>) -> f32) -> Vec<f32> {
+    /// The same of several figures that the same cells have.
+    pub fn means<const N: usize>(
+        &self,
+        values: impl Fn(usize) -> Option<[f32; N]> + Sync,
+        sigma_cells: f64,
+    ) -> [Vec<f32>; N] {
+        let Some(blur) = Blur::new(sigma_cells) else {
+            let own = |at: usize| {
+                let value = |cell| values(cell).map_or(0.0, |values| values[at]);
+                (0..self.grid.len()).map(value).collect()
+            };
+            return std::array::from_fn(own);
+        };
+        // The last plane holds the weights.
+        let plane = |at: usize| {
+            let of = |values: [f32; N]| values.get(at).copied().unwrap_or(1.0);
+            let mut plane = self.lay(|cell| values(cell).map_or(0.0, of));
+            blur.apply(&mut plane, self.columns);
+            plane
+        };
+        let planes: Vec<Vec<f32>> = (0..=N).into_par_iter().map(plane).collect();
+        let mean = |at: usize| {
+            let (sums, weights) = (&planes[at], &planes[N]);
+            self.take(|place| sums[place] / weights[place].max(f32::MIN_POSITIVE))
+        };
+        std::array::from_fn(mean)
+    }
+
+    fn lay(&self, value: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
         let mut plane = vec![0.0; self.columns * self.rows];
         match self.grid {
             Grid::Blocks(grid) => {
-                for row in 0..grid.rows {
+                let rows = plane.par_chunks_mut(self.columns.max(1)).enumerate();
+                rows.for_each(|(row, places)| {
                     let span = grid.span(row);
-                    let cells = &values[span.first_cell..][..span.len()];
-                    let places = &mut plane[row * grid.columns..][span.begin..span.end];
-                    for (place, value) in places.iter_mut().zip(cells) {
-                        *place = of(value);
+                    for at in 0..span.len() {
+                        places[span.begin - self.left + at] = value(span.first_cell + at);
                     }
-                }
+                });
             }
             Grid::Cores(_) => {
-                for (&square, value) in self.squares.iter().zip(values) {
-                    plane[square as usize] += of(value);
+                for (cell, &square) in self.squares.iter().enumerate() {
+                    plane[square as usize] += value(cell);
                 }
             }
         }
         plane
+    }
+
+    /// A figure of every cell by its place in the plane.
+    fn take(&self, of: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
+        match self.grid {
+            Grid::Blocks(grid) => {
+                let mut cells = Vec::with_capacity(grid.len());
+                for row in 0..grid.rows {
+                    let span = grid.span(row);
+                    let first = row * self.columns + span.begin.saturating_sub(self.left);
+                    cells.extend((first..first + span.len()).map(&of));
+                }
+                cells
+            }
+            Grid::Cores(_) => {
+                let squares = self.squares.par_iter();
+                squares.map(|&square| of(square as usize)).collect()
+            }
+        }
     }
 }
 

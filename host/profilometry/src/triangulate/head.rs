@@ -59,10 +59,11 @@ impl<'a> HeadTriangulator<'a> {
     /// The point in the camera frame, if it lies in the measuring volume and in fringes that count.
     pub fn point(&self, pixel: [f64; 2], column_px: f64) -> Option<[f64; 3]> {
         let [x, y] = self.head.camera.undistort(pixel)?;
-        let z = self.triangulator.intersect([x, y], column_px)?.depth_mm;
+        let hit = self.triangulator.intersect([x, y], column_px)?;
+        let z = hit.depth_mm;
         let volume = self.head.volume;
         let inside = volume.is_none_or(|volume| (volume.near_mm..=volume.far_mm).contains(&z));
-        let lit = inside && self.triangulator.is_lit([x, y], z);
+        let lit = inside && self.triangulator.is_lit(&hit);
         lit.then_some([x * z, y * z, z])
     }
 

@@ -5,7 +5,7 @@
 /// Runs `work` compiled for the widest vectors this processor has. `work` and what it calls must be `#[inline(always)]`,
 /// or they keep the baseline's code.
 #[inline(always)]
-pub(crate) fn with_widest<R>(work: impl FnOnce() -> R) -> R {
+pub fn with_widest<R>(work: impl FnOnce() -> R) -> R {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
