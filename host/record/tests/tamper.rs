@@ -730,3 +730,57 @@ fn a_refused_opening_leaves_nothing_beside_the_file() {
         std::fs::remove_file(&refused).unwrap();
     }
 }
+
+#[test]
+fn links_from_a_position_are_verified_alone_and_read_with_their_checks() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let copy = folder.path().join("copy/press.db");
+    std::fs::create_dir(copy.parent().unwrap()).unwrap();
+    changed(&path, &copy, |_| {});
+    let history = History::read(&copy, &seals()).unwrap();
+    let linked = history.linked_checks(1..=9, 0).unwrap();
+    let checks: Vec<_> = linked.iter().map(|linked| &linked.check).collect();
+    assert_eq!(checks, history.checks("die").unwrap().iter().collect::<Vec<_>>());
+    assert!(linked.iter().all(|linked| linked.geometry == "0123"));
+    let connection = Connection::open(&copy).unwrap();
+    let in_chain: Vec<(i64, String)> = connection
+        .prepare("SELECT link, digest FROM chain WHERE source = 'inspection' ORDER BY link")
+        .unwrap()
+        .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))
+        .unwrap()
+        .collect::<rusqlite::Result<_>>()
+        .unwrap();
+    let links: Vec<_> = linked.iter().map(|l| (l.link, l.digest.clone())).collect();
+    assert_eq!(links, in_chain);
+    let before = links[0].0;
+    assert_eq!(history.linked_checks(2..=3, before).unwrap(), linked[1..]);
+    assert!(history.linked_checks(1..=1, before).is_err(), "its link is not behind itself");
+    let whereabouts = history.whereabouts_after(1, 1).unwrap();
+    assert_eq!((whereabouts[0].check, &whereabouts[0].at), (2, &checks[1].at));
+    assert_eq!(history.station_names().unwrap(), ["press 7"]);
+    assert_eq!(history.relinked().unwrap(), None);
+
+    let last = history.verify_links_after(0).unwrap();
+    assert_eq!(history.verify_links_after(before).unwrap(), last);
+    assert!(history.verify_links_after(last + 1).is_err(), "there is no such link");
+    // A change of a row is found from every position before it, and from none behind it.
+    let changed = || {
+        let connection = Connection::open(&copy).unwrap();
+        connection.execute_batch("DROP TRIGGER inspection_keeps_UPDATE").unwrap();
+        let sql = "UPDATE inspection SET reason = 'all is fine' WHERE id = 2";
+        assert_eq!(connection.execute(sql, []).unwrap(), 1);
+    };
+    changed();
+    for link in 0..last {
+        let found = history.verify_links_after(link).is_err();
+        assert_eq!(found, link < links[1].0, "from {link}");
+    }
+    drop(history);
+    // Who accepts it as it is has all links made anew.
+    History::trust(&copy, &seals(), "Ada").unwrap();
+    let history = History::read(&copy, &seals()).unwrap();
+    assert!(history.relinked().unwrap().is_some());
+    assert_eq!(history.id().unwrap().len(), 32);
+    assert_eq!(history.station_key(), seals().station());
+}

@@ -12,6 +12,9 @@ pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
 /// Where [`mqtt_peers`] looks, from the repository.
 pub const MQTT_CLIENTS: &str = "target/mqtt-clients/bin/python";
 
+/// Where [`lake_readers`] looks, from the repository.
+pub const LAKE_READERS: &str = "target/lake-readers/bin/python";
+
 /// Where Debian's broker is, which is no program for users.
 pub const MOSQUITTO: &str = "/usr/sbin/mosquitto";
 
@@ -227,6 +230,19 @@ pub fn mqtt_peers() -> Option<(PathBuf, PathBuf)> {
         (_, false) => format!("{MQTT_CLIENTS} (tools/peers/README.md)"),
     };
     missed(&missing).and(None)
+}
+
+/// Python with other people's readers of Parquet, and a server that speaks S3.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn lake_readers() -> Option<PathBuf> {
+    let python = workspace().join(LAKE_READERS);
+    match python.is_file() {
+        true => Some(python),
+        false => missed(&format!("{LAKE_READERS} (tools/peers/README.md)")),
+    }
 }
 
 /// Whether Aravis' library is there, which speaks GigE Vision and USB3 Vision.

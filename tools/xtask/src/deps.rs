@@ -24,6 +24,7 @@ const RECORD: &str = "host/record";
 const JOBS: &str = "host/jobs";
 const REPORT: &str = "host/report";
 const PLANT: &str = "host/plant";
+const FLEET: &str = "host/fleet";
 const CLI: &str = "host/cli";
 const PYTHON: &str = "host/python";
 const BENCH: &str = "tools/bench";
@@ -100,6 +101,8 @@ const ROOMS: &[Room] = &[
     ),
     // What is stored, and the pages of it that the instrument draws, too: no instrument.
     (PLANT, &[FOUNDATION, METROLOGY, RECORD, REPORT]),
+    // What is stored, of many stations.
+    (FLEET, &[RECORD]),
     // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (
         CLI,
@@ -171,6 +174,8 @@ const TESTS_ONLY: &[Room] = &[
     (JOBS, &[TEST_REQUISITES]),
     // Histories that the instrument itself has written.
     (PLANT, &[TESTS, TEST_REQUISITES]),
+    // Checks that nobody made.
+    (FLEET, &[METROLOGY, TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[INSTRUMENT, TEST_REQUISITES]),
     (DEMO, &[TEST_REQUISITES]),
@@ -388,6 +393,8 @@ mod tests {
             (CONTROLLER, SIM),
             (CLI, STUDY),
             (PYTHON, JOBS),
+            (FLEET, JOBS),
+            (RECORD, FLEET),
             (JOBS, PYTHON),
             (CLI, "somewhere/else"),
         ] {

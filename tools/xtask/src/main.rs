@@ -5,6 +5,7 @@ mod circles;
 mod deps;
 mod elf;
 mod firmware;
+mod fleet;
 mod light;
 mod prerequisites;
 mod python;
@@ -21,6 +22,8 @@ cargo xtask COMMAND
                          and how to get it; --all: fails instead, and runs the long campaigns
   deps                   the arrows between the rooms: who may depend on whom
   python                 the Python package: installed by pip into an environment below target, its tests, its examples, its types
+  fleet [--all]          the fleet's program, a workspace of its own: rustfmt, clippy, its tests; other readers of Parquet and a
+                         server that speaks S3 by pip in an environment below target; --all: 200 kills instead of 60
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
   firmware               every board image, with its budgets
@@ -53,6 +56,8 @@ fn main() -> ExitCode {
         ["test", "--all"] => test(true),
         ["deps"] => arrows(&root()),
         ["python"] => python::run_all(&root()),
+        ["fleet"] => fleet::run_all(&root(), false),
+        ["fleet", "--all"] => fleet::run_all(&root(), true),
         ["lint"] => lint(),
         ["doc"] => doc(),
         ["firmware"] => firmware::build(&root()),

@@ -278,10 +278,24 @@ impl History {
         }
     }
 
-    fn verify_links(&self) -> Result<(), HistoryError> {
+    /// Verifies the links after one that was verified before (0: every link), and the rows that they are of. Returns the last one's number.
+    ///
+    /// # Errors
+    /// As [`History::verify`].
+    pub fn verify_links_after(&self, link: i64) -> Result<i64, HistoryError> {
+        let before = self.rows(
+            "SELECT digest FROM chain WHERE link = ?1",
+            [link],
+            |row| row.get::<_, String>(0),
+        )?;
+        let mut before = match (before.into_iter().next(), link) {
+            (Some(digest), _) => digest,
+            (None, 0) => String::new(),
+            (None, _) => return Err(self.broken(format!("link {link} is gone"))),
+        };
         let links = self.rows(
-            "SELECT link, source, key, digest, station FROM chain ORDER BY link",
-            [],
+            "SELECT link, source, key, digest, station FROM chain WHERE link > ?1 ORDER BY link",
+            [link],
             |row| {
                 Ok(Link {
                     number: row.get(0)?,
@@ -293,7 +307,7 @@ impl History {
             },
         )?;
         let own = self.seals().station();
-        let mut before = String::new();
+        let mut verified = link;
         for link in links {
             let named = format!("link {} ({} {})", link.number, link.table, link.key);
             if link.station != own {
@@ -315,7 +329,13 @@ impl History {
                 )));
             }
             before = link.digest;
+            verified = link.number;
         }
+        Ok(verified)
+    }
+
+    fn verify_links(&self) -> Result<(), HistoryError> {
+        self.verify_links_after(0)?;
         for (table, column) in LINKED {
             let strange = self.rows(
                 &format!(
@@ -367,13 +387,6 @@ impl History {
             anchor.file.display(),
             no_gos_there(&anchor),
         )))
-    }
-
-    /// Its id, created with the file.
-    pub(super) fn id(&self) -> Result<String, HistoryError> {
-        self.connection()
-            .query_row("SELECT id FROM identity", [], |row| row.get(0))
-            .map_err(self.because("read its id"))
     }
 
     /// Records in the station's memory how far the history is. The rows are on disk already; if this fails, only the removal of

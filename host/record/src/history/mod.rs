@@ -12,6 +12,7 @@
 //! | `rows` | reads the file |
 //! | `schema` | tables, their version, and detection of foreign definitions |
 //! | `chain` | a keyed digest over every row and the one before it |
+//! | `linked` | checks with their links, from a position on |
 //! | `same_die` | which checks are of one die |
 //! | `hold` | allows one watch at a time per die, by device and inode of the file |
 //! | `writer` | the sink that a verdict waits for: stores checks, and revokes a verdict that cannot be stored |
@@ -33,6 +34,7 @@ mod error;
 mod export;
 mod forecast;
 mod hold;
+mod linked;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod phasors;
@@ -53,6 +55,7 @@ pub use error::HistoryError;
 pub use export::csv;
 pub use forecast::Forecast;
 pub use hold::Hold;
+pub use linked::{LinkedCheck, Whereabouts};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
 pub use remaining::Passage;

@@ -133,7 +133,7 @@ impl History {
     /// # Errors
     /// The file cannot be read.
     pub fn checks(&self, tool: &str) -> Result<Vec<Check>, HistoryError> {
-        self.checks_where("tool = ?1", tool)
+        self.checks_where("tool = ?1", [tool])
     }
 
     /// The row of a check.
@@ -141,7 +141,7 @@ impl History {
     /// # Errors
     /// There is no such check, or the file cannot be read.
     pub fn check(&self, id: i64) -> Result<Check, HistoryError> {
-        let found = self.checks_where("id = ?1", id)?;
+        let found = self.checks_where("id = ?1", [id])?;
         found
             .into_iter()
             .next()
@@ -172,10 +172,10 @@ impl History {
             .map_err(self.because("read which checks follow"))
     }
 
-    fn checks_where(
+    pub(super) fn checks_where(
         &self,
         condition: &str,
-        parameter: impl rusqlite::ToSql + Copy,
+        parameters: impl rusqlite::Params + Clone,
     ) -> Result<Vec<Check>, HistoryError> {
         let mut checks = self.rows(
             &format!(
@@ -183,7 +183,7 @@ impl History {
                  link, simulated, head, head_blake3, head_seal, station, operator, serial FROM inspection \
                  WHERE {condition} ORDER BY id"
             ),
-            [parameter],
+            parameters.clone(),
             |row| {
                 Ok(Check {
                     id: row.get(0)?,
@@ -216,7 +216,7 @@ impl History {
                 "SELECT inspection, tooth, flank, patch, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
                  JOIN inspection ON inspection.id = inspection WHERE {condition} ORDER BY inspection, tooth, flank"
             ),
-            [parameter],
+            parameters,
             |row| {
                 let flank = FlankRow {
                     id: FeatureId {

@@ -40,6 +40,17 @@ impl Key {
         if !path.exists() {
             make(folder, &path).map_err(failed)?;
         }
+        Self::existing(folder)
+    }
+
+    /// Reads the key in a folder.
+    pub fn existing(folder: &Path) -> Result<Self, SealError> {
+        let path = folder.join(FILE);
+        let failed = |source| SealError::Key {
+            path: path.clone(),
+            source,
+        };
+        private(folder)?;
         private(&path)?;
         let mut key = [0; 32];
         let bytes = read_regular(&path, 1 << 10).map_err(failed)?;
@@ -138,6 +149,8 @@ mod tests {
         let mode = |path: &Path| std::fs::metadata(path).unwrap().mode() & 0o7777;
         assert_eq!([mode(&at), mode(&path)], [0o700, 0o600]);
         assert_eq!(Key::open(&at).unwrap().id(), key.id());
+        assert_eq!(Key::existing(&at).unwrap().id(), key.id());
+        assert!(Key::existing(&folder.path().join("other")).is_err());
         let other = Key::open(&folder.path().join("other")).unwrap();
         assert_ne!(other.id(), key.id());
         assert_ne!(other.digest("a", [&b"b"[..]]), key.digest("a", [&b"b"[..]]));

@@ -154,6 +154,17 @@ impl Seals {
         })
     }
 
+    /// Key and memory in a folder in which a key is, to verify what that station wrote.
+    ///
+    /// # Errors
+    /// There is no key, or other users may have read it.
+    pub fn existing(folder: &Path) -> Result<Self, SealError> {
+        Ok(Self {
+            key: key::Key::existing(folder)?,
+            folder: Some(folder.to_owned()),
+        })
+    }
+
     /// A temporary key for this process; its signatures cannot be verified later.
     ///
     /// # Errors

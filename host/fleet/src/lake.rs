@@ -1,0 +1,232 @@
+//! The lake: a folder, or a bucket of an object store. Files are put whole or not at all, and never changed.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures_util::TryStreamExt;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as ObjectPath;
+use object_store::{
+    Error as StoreError, GetOptions, ObjectStore, ObjectStoreExt, PutMode, PutPayload,
+};
+
+use crate::file::{FileError, LakeFile};
+use crate::name::FileName;
+use crate::retired::Retired;
+
+/// Why the lake cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LakeError {
+    #[error("lake {url}: {source}")]
+    Open {
+        url: String,
+        /// Cause.
+        source: StoreError,
+    },
+    #[error("lake {url}: this build knows folders only; a build with `--features s3` knows s3://BUCKET/PREFIX, too")]
+    NoS3 { url: String },
+    #[error("lake {url}: neither a folder nor s3://BUCKET/PREFIX")]
+    Scheme { url: String },
+    #[error("lake {}: {source}; name an existing folder", path.display())]
+    Folder {
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    #[error("the lake's store: {0}")]
+    Store(#[from] StoreError),
+    #[error("{name}: {source}")]
+    File {
+        name: Box<FileName>,
+        /// Cause.
+        source: FileError,
+    },
+}
+
+/// A file of a listing.
+#[derive(Clone, Debug)]
+pub struct Listed {
+    pub name: FileName,
+    pub bytes: u64,
+    /// When it was put, by the store's clock: milliseconds since 1970.
+    pub put_ms: i64,
+}
+
+/// What a listing of the lake found.
+#[derive(Debug, Default)]
+pub struct Listing {
+    pub files: Vec<Listed>,
+    pub retired: Vec<Retired>,
+    /// Objects that this program does not write.
+    pub foreign: Vec<String>,
+}
+
+/// A lake.
+#[derive(Clone, Debug)]
+pub struct Lake {
+    store: Arc<dyn ObjectStore>,
+    prefix: ObjectPath,
+    folder: Option<PathBuf>,
+}
+
+impl Lake {
+    /// Opens a lake: a folder, or `s3://BUCKET/PREFIX` in a build with `s3`, whose credentials are in the environment (`AWS_…`).
+    ///
+    /// # Errors
+    /// There is no such folder, or the address is not understood.
+    pub fn open(url: &str) -> Result<Self, LakeError> {
+        if url.starts_with("s3://") {
+            return s3(url);
+        }
+        if url.contains("://") {
+            return Err(LakeError::Scheme { url: url.into() });
+        }
+        let path = Path::new(url);
+        let folder = path.canonicalize().map_err(|source| LakeError::Folder {
+            path: path.to_owned(),
+            source,
+        })?;
+        let store = LocalFileSystem::new_with_prefix(&folder)
+            .map_err(|source| LakeError::Open {
+                url: url.into(),
+                source,
+            })?
+            // A file that is there survives a power cut.
+            .with_fsync(true);
+        Ok(Self {
+            store: Arc::new(store),
+            prefix: ObjectPath::default(),
+            folder: Some(folder),
+        })
+    }
+
+    /// A lake in any store, below a prefix.
+    #[must_use]
+    pub fn in_store(store: Arc<dyn ObjectStore>, prefix: ObjectPath) -> Self {
+        Self {
+            store,
+            prefix,
+            folder: None,
+        }
+    }
+
+    /// The folder, if it is one.
+    #[must_use]
+    pub fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
+
+    fn path(&self, name: &str) -> Result<ObjectPath, LakeError> {
+        let path = format!("{}/{name}", self.prefix);
+        ObjectPath::parse(path.trim_start_matches('/')).map_err(|error| LakeError::Store(error.into()))
+    }
+
+    /// Everything in the lake, or of one station.
+    ///
+    /// # Errors
+    /// The store cannot be listed.
+    pub async fn list(&self, station: Option<&str>) -> Result<Listing, LakeError> {
+        let mut found = Listing::default();
+        let prefix = match station {
+            Some(station) => self.path(&FileName::station_folder(station))?,
+            None => self.prefix.clone(),
+        };
+        let mut objects = self.store.list(Some(&prefix));
+        while let Some(object) = objects.try_next().await? {
+            let path = object.location.as_ref();
+            let below = path.strip_prefix(self.prefix.as_ref()).unwrap_or(path);
+            let below = below.trim_start_matches('/');
+            if let Some(name) = FileName::parse(below) {
+                found.files.push(Listed {
+                    name,
+                    bytes: object.size,
+                    put_ms: object.last_modified.timestamp_millis(),
+                });
+            } else if let Some(retired) = Retired::parse(below) {
+                found.retired.push(retired);
+            } else {
+                found.foreign.push(below.to_owned());
+            }
+        }
+        Ok(found)
+    }
+
+    /// The marks of what was given up on purpose.
+    ///
+    /// # Errors
+    /// The store cannot be listed.
+    pub async fn retired(&self) -> Result<Vec<Retired>, LakeError> {
+        let prefix = self.path(Retired::FOLDER)?;
+        let objects: Vec<_> = self.store.list(Some(&prefix)).try_collect().await?;
+        let below = |path: &ObjectPath| {
+            let path = path.as_ref();
+            let path = path.strip_prefix(self.prefix.as_ref()).unwrap_or(path);
+            Retired::parse(path.trim_start_matches('/'))
+        };
+        Ok(objects.iter().filter_map(|object| below(&object.location)).collect())
+    }
+
+    /// Puts an object unless it is there; false if it was.
+    ///
+    /// # Errors
+    /// The store refuses it, or is full. Nothing of it is there then.
+    pub async fn put(&self, name: &str, bytes: Vec<u8>) -> Result<bool, LakeError> {
+        let path = self.path(name)?;
+        let payload = PutPayload::from(bytes);
+        let put = self.store.put_opts(&path, payload.clone(), PutMode::Create.into());
+        match put.await {
+            Ok(_) => Ok(true),
+            Err(StoreError::AlreadyExists { .. }) => Ok(false),
+            // A store without conditions: the same name is the same rows, so it does no harm to put them again.
+            Err(StoreError::NotImplemented { .. } | StoreError::NotSupported { .. }) => {
+                self.store.put(&path, payload).await?;
+                Ok(true)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Reads a file and compares its rows with its name.
+    ///
+    /// # Errors
+    /// It cannot be read, or is not believed.
+    pub async fn read(&self, name: &FileName) -> Result<LakeFile, LakeError> {
+        let path = self.path(&name.to_string())?;
+        let bytes: Bytes = self.store.get_opts(&path, GetOptions::default()).await?.bytes().await?;
+        LakeFile::decode(name, bytes).map_err(|source| LakeError::File {
+            name: Box::new(name.clone()),
+            source,
+        })
+    }
+
+    /// Removes a file; it is no error if it is gone already.
+    ///
+    /// # Errors
+    /// The store refuses it.
+    pub async fn remove(&self, name: &FileName) -> Result<(), LakeError> {
+        match self.store.delete(&self.path(&name.to_string())?).await {
+            Ok(()) | Err(StoreError::NotFound { .. }) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+#[cfg(feature = "s3")]
+fn s3(url: &str) -> Result<Lake, LakeError> {
+    let open = || {
+        let store = object_store::aws::AmazonS3Builder::from_env().with_url(url).build()?;
+        let prefix = url.trim_start_matches("s3://").split_once('/');
+        let prefix = ObjectPath::parse(prefix.map_or("", |(_, prefix)| prefix))?;
+        Ok(Lake::in_store(Arc::new(store), prefix))
+    };
+    open().map_err(|source| LakeError::Open {
+        url: url.into(),
+        source,
+    })
+}
+
+#[cfg(not(feature = "s3"))]
+fn s3(url: &str) -> Result<Lake, LakeError> {
+    Err(LakeError::NoS3 { url: url.into() })
+}

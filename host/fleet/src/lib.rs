@@ -1,0 +1,29 @@
+//! A lake of Parquet files that many stations write, without a server.
+//!
+//! ```text
+//!  history of a station ──► ship ──► lake (folder or object store) ──► DuckDB, polars, any reader of Parquet
+//!                                     │   ▲
+//!                                 verify  compact
+//! ```
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`rows`] | the table: columns, version, what digests are made of |
+//! | [`file`](mod@file) | a file: Parquet, digest, seals |
+//! | [`name`] | names of files, and the rule which files count |
+//! | [`lake`] | the folder or object store |
+//! | [`ship`] | copies the checks of a history into the lake |
+//! | [`verify`] | names what is missing, edited or there twice |
+//! | [`compact`](mod@compact) | joins small files, gives up old days |
+//! | [`retired`] | marks of what was given up |
+//!
+//! It opens histories through `flankscope-record`, without an instrument.
+
+pub mod compact;
+pub mod file;
+pub mod lake;
+pub mod name;
+pub mod retired;
+pub mod rows;
+pub mod ship;
+pub mod verify;

@@ -1,0 +1,55 @@
+//! The fleet's program, a workspace of its own: formatted, linted, tested beside other people's readers of its files.
+
+use std::path::Path;
+use std::process::Command;
+
+use flankscope_test_requisites::LAKE_READERS;
+
+use crate::{cargo, run, target};
+
+/// The workspace.
+pub const FLEET: &str = "host/fleet";
+
+/// Its checks; `all`: the long ones, too, and none may be missed.
+pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
+    environment(root)?;
+    let command = |arguments: &[&str]| {
+        let mut command = cargo(arguments);
+        // Built once for the workspace, not in a folder of its own.
+        command
+            .current_dir(root.join(FLEET))
+            .env("CARGO_TARGET_DIR", target().join("fleet"));
+        command
+    };
+    run(command(&["fmt", "--check"]))?;
+    run(command(&[
+        "clippy",
+        "--all-targets",
+        "--all-features",
+        "--locked",
+        "--",
+        "-D",
+        "warnings",
+    ]))?;
+    let mut test = command(&["test", "--all-features", "--locked"]);
+    if all {
+        test.env("FLANKSCOPE_TEST_ALL", "1");
+    }
+    run(test)
+}
+
+/// Python with other people's readers of Parquet, fetched by pip.
+fn environment(root: &Path) -> Result<(), String> {
+    let python = root.join(LAKE_READERS);
+    if python.is_file() {
+        return Ok(());
+    }
+    let folder = root.join("target/lake-readers");
+    let mut venv = Command::new("python3");
+    venv.args(["-m", "venv"]).arg(&folder);
+    run(venv)?;
+    let mut pip = Command::new(&python);
+    pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "-r"])
+        .arg(root.join("tools/peers/lake-readers.txt"));
+    run(pip)
+}
