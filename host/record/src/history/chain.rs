@@ -294,7 +294,7 @@ impl History {
             (None, _) => return Err(self.broken(format!("link {link} is gone"))),
         };
         let links = self.rows(
-            "SELECT link, source, key, digest, station FROM chain WHERE link > ?1 ORDER BY link",
+            "SELECT link, source, key, digest, station FROM chain WHERE ?1 = 0 OR link > ?1 ORDER BY link",
             [link],
             |row| {
                 Ok(Link {
