@@ -11,8 +11,8 @@ import json
 import sys
 from pathlib import Path
 
-WORDS = "count(*) AS rows, count(DISTINCT \"check\") AS checks, sum(wear_um) AS wear_um, min(station) AS station, " \
-    "CAST(max(date) AS VARCHAR) AS date, CAST(epoch_ms(max(at)) AS BIGINT) AS at_ms"
+WORDS = "count(*) AS rows, count(DISTINCT check_number) AS checks, sum(wear_um) AS wear_um, min(station) AS station, " \
+    "CAST(max(date) AS VARCHAR) AS date, CAST(epoch_ms(max(stored_at)) AS BIGINT) AS at_ms"
 
 
 def duckdb_finds(files):
@@ -28,11 +28,11 @@ def polars_finds(files):
     frame = pl.scan_parquet(files, hive_partitioning=True)
     row = frame.select(
         pl.len().alias("rows"),
-        pl.col("check").n_unique().alias("checks"),
+        pl.col("check_number").n_unique().alias("checks"),
         pl.col("wear_um").sum(),
         pl.col("station").min(),
         pl.col("date").max().cast(pl.String),
-        pl.col("at").max().dt.epoch("ms").alias("at_ms"),
+        pl.col("stored_at").max().dt.epoch("ms").alias("at_ms"),
     )
     return row.collect().row(0, named=True)
 

@@ -56,7 +56,8 @@ impl Compaction {
         let today = now.to_zoned(jiff::tz::TimeZone::UTC).date();
         let before = |days: u32| {
             let days = Span::new().try_days(i64::from(days) - 1);
-            days.and_then(|days| today.checked_sub(days)).unwrap_or(Date::MIN)
+            days.and_then(|days| today.checked_sub(days))
+                .unwrap_or(Date::MIN)
         };
         Self {
             join_before: before(older_than),
@@ -109,7 +110,14 @@ pub async fn compact(lake: &Lake, what: &Compaction) -> Result<Compacted, Compac
         let why = format!("its checks are also in {one}, in part or with other content");
         done.left.push((other, why));
     }
-    remove_redundant(lake, what, (&current, &redundant), &listing.files, &mut done).await?;
+    remove_redundant(
+        lake,
+        what,
+        (&current, &redundant),
+        &listing.files,
+        &mut done,
+    )
+    .await?;
     for run in runs(current, what.join_before) {
         join(lake, &run, &mut done).await?;
     }
@@ -130,7 +138,10 @@ async fn mark(
     let names = files.iter().map(|file| file.name.clone());
     let mut streams: BTreeMap<Stream, Vec<FileName>> = BTreeMap::new();
     for name in cover(kept(names, retired)).current {
-        streams.entry(name.range.stream.clone()).or_default().push(name);
+        streams
+            .entry(name.range.stream.clone())
+            .or_default()
+            .push(name);
     }
     for (stream, names) in streams {
         let old = |name: &&FileName| is_before(name, before);
@@ -161,8 +172,13 @@ async fn remove_redundant(
     let grace_ms = i64::try_from(what.grace.as_millis()).unwrap_or(i64::MAX);
     let newest_ms = what.now.as_millisecond().saturating_sub(grace_ms);
     for whole in current {
-        let parts: Vec<&FileName> = redundant.iter().filter(|part| part.lies_in(whole)).collect();
-        let old = files.iter().any(|file| file.name == *whole && file.put_ms <= newest_ms);
+        let parts: Vec<&FileName> = redundant
+            .iter()
+            .filter(|part| part.lies_in(whole))
+            .collect();
+        let old = files
+            .iter()
+            .any(|file| file.name == *whole && file.put_ms <= newest_ms);
         if parts.is_empty() || !old {
             continue;
         }
@@ -264,7 +280,10 @@ fn remove_unfinished(folder: &Path, grace: Duration) {
         let name = entry.file_name();
         let number = name.to_str().and_then(|name| name.rsplit_once(".parquet#"));
         let unfinished = number.is_some_and(|(_, number)| number.parse::<u32>().is_ok());
-        let age = meta.modified().ok().and_then(|at| SystemTime::now().duration_since(at).ok());
+        let age = meta
+            .modified()
+            .ok()
+            .and_then(|at| SystemTime::now().duration_since(at).ok());
         if meta.is_dir() {
             remove_unfinished(&entry.path(), grace);
         } else if unfinished && age.is_some_and(|age| age >= grace) {

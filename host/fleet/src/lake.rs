@@ -24,7 +24,9 @@ pub enum LakeError {
         /// Cause.
         source: StoreError,
     },
-    #[error("lake {url}: this build knows folders only; a build with `--features s3` knows s3://BUCKET/PREFIX, too")]
+    #[error(
+        "lake {url}: this build knows folders only; a build with `--features s3` knows s3://BUCKET/PREFIX, too"
+    )]
     NoS3 { url: String },
     #[error("lake {url}: neither a folder nor s3://BUCKET/PREFIX")]
     Scheme { url: String },
@@ -119,7 +121,8 @@ impl Lake {
 
     fn path(&self, name: &str) -> Result<ObjectPath, LakeError> {
         let path = format!("{}/{name}", self.prefix);
-        ObjectPath::parse(path.trim_start_matches('/')).map_err(|error| LakeError::Store(error.into()))
+        ObjectPath::parse(path.trim_start_matches('/'))
+            .map_err(|error| LakeError::Store(error.into()))
     }
 
     /// Everything in the lake, or of one station.
@@ -164,7 +167,10 @@ impl Lake {
             let path = path.strip_prefix(self.prefix.as_ref()).unwrap_or(path);
             Retired::parse(path.trim_start_matches('/'))
         };
-        Ok(objects.iter().filter_map(|object| below(&object.location)).collect())
+        Ok(objects
+            .iter()
+            .filter_map(|object| below(&object.location))
+            .collect())
     }
 
     /// Puts an object unless it is there; false if it was.
@@ -174,7 +180,9 @@ impl Lake {
     pub async fn put(&self, name: &str, bytes: Vec<u8>) -> Result<bool, LakeError> {
         let path = self.path(name)?;
         let payload = PutPayload::from(bytes);
-        let put = self.store.put_opts(&path, payload.clone(), PutMode::Create.into());
+        let put = self
+            .store
+            .put_opts(&path, payload.clone(), PutMode::Create.into());
         match put.await {
             Ok(_) => Ok(true),
             Err(StoreError::AlreadyExists { .. }) => Ok(false),
@@ -193,7 +201,12 @@ impl Lake {
     /// It cannot be read, or is not believed.
     pub async fn read(&self, name: &FileName) -> Result<LakeFile, LakeError> {
         let path = self.path(&name.to_string())?;
-        let bytes: Bytes = self.store.get_opts(&path, GetOptions::default()).await?.bytes().await?;
+        let bytes: Bytes = self
+            .store
+            .get_opts(&path, GetOptions::default())
+            .await?
+            .bytes()
+            .await?;
         LakeFile::decode(name, bytes).map_err(|source| LakeError::File {
             name: Box::new(name.clone()),
             source,
@@ -215,7 +228,9 @@ impl Lake {
 #[cfg(feature = "s3")]
 fn s3(url: &str) -> Result<Lake, LakeError> {
     let open = || {
-        let store = object_store::aws::AmazonS3Builder::from_env().with_url(url).build()?;
+        let store = object_store::aws::AmazonS3Builder::from_env()
+            .with_url(url)
+            .build()?;
         let prefix = url.trim_start_matches("s3://").split_once('/');
         let prefix = ObjectPath::parse(prefix.map_or("", |(_, prefix)| prefix))?;
         Ok(Lake::in_store(Arc::new(store), prefix))

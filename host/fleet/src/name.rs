@@ -42,12 +42,7 @@ impl fmt::Display for Range {
         write!(
             f,
             "checks {} to {} of {} (station {}, history {}, epoch {})",
-            self.first,
-            self.last,
-            self.date,
-            self.station,
-            self.stream.history,
-            self.stream.epoch
+            self.first, self.last, self.date, self.station, self.stream.history, self.stream.epoch
         )
     }
 }
@@ -274,7 +269,8 @@ mod tests {
                 .map(|(_, file)| file.clone())
                 .collect();
             let count = |files: &[FileName], check: i64| {
-                let holds = |file: &&FileName| (file.range.first..=file.range.last).contains(&check);
+                let holds =
+                    |file: &&FileName| (file.range.first..=file.range.last).contains(&check);
                 files.iter().filter(holds).count()
             };
             let found = cover(there.clone());
@@ -282,7 +278,11 @@ mod tests {
             assert_eq!(found.current.len() + found.redundant.len(), there.len());
             for check in 1..=20 {
                 let expected = count(&there, check).min(1);
-                assert_eq!(count(&found.current, check), expected, "{check} of {there:?}");
+                assert_eq!(
+                    count(&found.current, check),
+                    expected,
+                    "{check} of {there:?}"
+                );
             }
         }
     }
@@ -297,7 +297,11 @@ mod tests {
             name(5, 8, "2026-02-01", "inside, of another day"),
         ] {
             let found = cover([name(1, 32, day, "rows"), other.clone()]);
-            assert_eq!((found.current.len(), found.doubled.len()), (1, 1), "{other}");
+            assert_eq!(
+                (found.current.len(), found.doubled.len()),
+                (1, 1),
+                "{other}"
+            );
         }
     }
 }

@@ -16,6 +16,8 @@ pub enum Kind {
     Integer,
     Real,
     Boolean,
+    /// A BLAKE3: hexadecimal digits here, bytes in the file.
+    Digest,
     /// Milliseconds since 1970, UTC.
     Time,
 }
@@ -52,8 +54,8 @@ const fn column(name: &'static str, kind: Kind, level: Level, required: bool) ->
 pub const COLUMNS: &[Column] = &[
     column("history", Kind::Text, Level::Check, true),
     column("epoch", Kind::Text, Level::Check, true),
-    column("check", Kind::Integer, Level::Check, true),
-    column("at", Kind::Time, Level::Check, true),
+    column("check_number", Kind::Integer, Level::Check, true),
+    column("stored_at", Kind::Time, Level::Check, true),
     column("tool", Kind::Text, Level::Check, true),
     column("geometry", Kind::Text, Level::Check, true),
     column("serial", Kind::Text, Level::Check, false),
@@ -78,7 +80,7 @@ pub const COLUMNS: &[Column] = &[
     column("head_seal", Kind::Text, Level::Check, true),
     column("operator", Kind::Text, Level::Check, false),
     column("chain_link", Kind::Integer, Level::Check, true),
-    column("chain_digest", Kind::Text, Level::Check, true),
+    column("chain_digest", Kind::Digest, Level::Check, true),
 ];
 
 /// A value of a column.
@@ -234,10 +236,18 @@ impl LakeCheck {
         self.values.get(at)?.as_ref()
     }
 
+    /// Gives all its rows another value of a column; none if there is no such column.
+    pub fn set(&mut self, name: &str, value: Value) {
+        let at = columns_of(Level::Check).position(|column| column.name == name);
+        if let Some(there) = at.and_then(|at| self.values.get_mut(at)) {
+            *there = Some(value);
+        }
+    }
+
     /// Its number in the history.
     #[must_use]
     pub fn number(&self) -> i64 {
-        self.integer("check")
+        self.integer("check_number")
     }
 
     /// An integer that all rows of the check have; 0 if it is none.

@@ -9,7 +9,6 @@ use std::ops::RangeInclusive;
 use flankscope_record::history::{History, HistoryError, LinkedCheck, Whereabouts};
 use flankscope_record::seal::Seals;
 use futures_util::StreamExt;
-use futures_util::stream::FuturesUnordered;
 
 use crate::file::{FileError, LakeFile};
 use crate::lake::{Lake, LakeError};
@@ -40,7 +39,9 @@ pub enum ShipError {
     )]
     Diverged { check: i64, name: Box<FileName> },
     /// The history ends before the lake does.
-    #[error("the lake has check {check} ({name}), this history ends with {last}: it is an older copy")]
+    #[error(
+        "the lake has check {check} ({name}), this history ends with {last}: it is an older copy"
+    )]
     Behind {
         check: i64,
         name: Box<FileName>,
@@ -79,7 +80,11 @@ impl<'a> Shipper<'a> {
     ///
     /// # Errors
     /// The lake cannot be read, or holds another course of the history.
-    pub async fn new(history: History, seals: &'a Seals, lake: &'a Lake) -> Result<Self, ShipError> {
+    pub async fn new(
+        history: History,
+        seals: &'a Seals,
+        lake: &'a Lake,
+    ) -> Result<Self, ShipError> {
         let stream = Stream::of(&history)?;
         let mut names = Vec::new();
         for station in history.station_names()? {
@@ -87,8 +92,9 @@ impl<'a> Shipper<'a> {
             let files = listing.files.into_iter().map(|file| file.name);
             names.extend(files.filter(|name| name.range.stream.history == stream.history));
         }
-        let (own, of_other_epochs): (Vec<FileName>, Vec<FileName>) =
-            names.into_iter().partition(|name| name.range.stream == stream);
+        let (own, of_other_epochs): (Vec<FileName>, Vec<FileName>) = names
+            .into_iter()
+            .partition(|name| name.range.stream == stream);
         let retired = lake.retired().await?;
         let mut shipper = Self {
             history,
@@ -96,7 +102,10 @@ impl<'a> Shipper<'a> {
             lake,
             last_read: (0, 0),
             verified_link: 0,
-            held: own.iter().map(|name| name.range.first..=name.range.last).collect(),
+            held: own
+                .iter()
+                .map(|name| name.range.first..=name.range.last)
+                .collect(),
             stream,
         };
         let kept = first_kept(&retired, &shipper.stream);
@@ -146,7 +155,7 @@ impl<'a> Shipper<'a> {
             let stored = self.history.whereabouts_after(name.range.first - 1, most)?;
             for (shipped, stored) in file.checks.iter().zip(&stored).rev() {
                 let at = crate::rows::time_ms(stored.check, &stored.at)?;
-                if shipped.number() == stored.check && shipped.integer("at") == at {
+                if shipped.number() == stored.check && shipped.integer("stored_at") == at {
                     return Ok(stored.check);
                 }
             }
@@ -160,45 +169,21 @@ impl<'a> Shipper<'a> {
     /// # Errors
     /// The history cannot be read or is not believed, or the lake refuses a file. What was shipped is kept.
     pub async fn pass(&mut self, today: &str) -> Result<Shipped, ShipError> {
-        let mut shipped = Shipped::default();
-        let mut on_their_way = FuturesUnordered::new();
+        let lake = self.lake;
         let mut behind = 0;
-        loop {
-            let next = self.next_part(behind, today)?;
-            if next.is_none() && on_their_way.is_empty() {
-                return Ok(shipped);
-            }
-            let full = next.is_none() || on_their_way.len() == IN_FLIGHT;
-            if full && let Some(done) = on_their_way.next().await {
-                let (range, new, bytes): (RangeInclusive<i64>, bool, u64) = done?;
-                if new {
-                    shipped.files += 1;
-                    shipped.bytes += bytes;
-                    shipped.checks += range.clone().count() as u64;
-                } else {
-                    shipped.there_already += 1;
-                }
-                self.hold(range);
-            }
-            if let Some(range) = next {
-                behind = range.last;
-                let file = self.part(range)?;
-                let lake = self.lake;
-                on_their_way.push(async move {
-                    let name = file.name().to_string();
-                    let numbers = file.range.first..=file.range.last;
-                    let bytes = file.encode()?;
-                    let size = bytes.len() as u64;
-                    let new = lake.put(&name, bytes).await?;
-                    Ok::<_, ShipError>((numbers, new, size))
-                });
-            }
-        }
-    }
-
-    fn hold(&mut self, range: RangeInclusive<i64>) {
-        self.held.push(range);
+        let parts = std::iter::from_fn(|| {
+            let range = match self.next_part(behind, today) {
+                Ok(None) => return None,
+                Ok(Some(range)) => range,
+                Err(error) => return Some(Err(error.into())),
+            };
+            behind = range.last;
+            Some(self.part(range))
+        });
+        let (shipped, put) = put_all(lake, parts).await?;
+        self.held.extend(put);
         self.held = joined(std::mem::take(&mut self.held));
+        Ok(shipped)
     }
 
     fn is_held(&self, check: i64) -> bool {
@@ -243,13 +228,19 @@ impl<'a> Shipper<'a> {
             shipper.history.linked_checks(numbers, after_link)
         };
         let mut linked = read(self)?;
-        let last = |linked: &[LinkedCheck]| linked.last().map_or((0, 0), |last| (last.check.id, last.link));
+        let last = |linked: &[LinkedCheck]| {
+            linked
+                .last()
+                .map_or((0, 0), |last| (last.check.id, last.link))
+        };
         if last(&linked).1 > self.verified_link {
             self.verified_link = self.history.verify_links_after(self.verified_link)?;
             linked = read(self)?;
         }
         self.last_read = last(&linked);
-        let checks = linked.iter().map(|check| LakeCheck::new(&self.stream, check));
+        let checks = linked
+            .iter()
+            .map(|check| LakeCheck::new(&self.stream, check));
         let checks = checks.collect::<Result<_, _>>()?;
         Ok(LakeFile::sealed(range, checks, self.seals))
     }
@@ -268,6 +259,37 @@ impl<'a> Shipper<'a> {
     pub fn is_same_epoch(&self) -> Result<bool, HistoryError> {
         Ok(Stream::of(&self.history)? == self.stream)
     }
+}
+
+/// Puts files into a lake, some at a time, each once it is asked for; the checks that are there then.
+///
+/// # Errors
+/// The first error of a file or of the lake; what was put by then is there.
+pub async fn put_all(
+    lake: &Lake,
+    files: impl Iterator<Item = Result<LakeFile, ShipError>>,
+) -> Result<(Shipped, Vec<RangeInclusive<i64>>), ShipError> {
+    let put = |file: Result<LakeFile, ShipError>| async move {
+        let file = file?;
+        let bytes = file.encode()?;
+        let size = bytes.len() as u64;
+        let new = lake.put(&file.name().to_string(), bytes).await?;
+        Ok::<_, ShipError>((file.range, new, size))
+    };
+    let mut all = futures_util::stream::iter(files.map(put)).buffer_unordered(IN_FLIGHT);
+    let (mut shipped, mut there) = (Shipped::default(), Vec::new());
+    while let Some(done) = all.next().await {
+        let (range, new, bytes) = done?;
+        if new {
+            shipped.files += 1;
+            shipped.checks += range.checks().unsigned_abs();
+            shipped.bytes += bytes;
+        } else {
+            shipped.there_already += 1;
+        }
+        there.push(range.first..=range.last);
+    }
+    Ok((shipped, there))
 }
 
 /// Number of the last check that may be in a part with this one.

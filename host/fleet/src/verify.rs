@@ -28,7 +28,11 @@ pub enum VerifyError {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Finding {
     /// Checks that no file has.
-    Missing { stream: Stream, first: i64, last: i64 },
+    Missing {
+        stream: Stream,
+        first: i64,
+        last: i64,
+    },
     /// A file that is edited, renamed, cut short or otherwise not believed.
     Damaged { name: FileName, why: String },
     /// Two files of which only one can be right.
@@ -46,7 +50,11 @@ pub enum Finding {
 impl std::fmt::Display for Finding {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Missing { stream, first, last } => write!(
+            Self::Missing {
+                stream,
+                first,
+                last,
+            } => write!(
                 f,
                 "missing: checks {first} to {last} of history {}, epoch {}; `ship` puts them again from the station's history",
                 stream.history, stream.epoch
@@ -125,7 +133,10 @@ impl<'a> Verifier<'a> {
         for path in listing.foreign {
             self.report.findings.push(Finding::Foreign { path });
         }
-        let names = kept(listing.files.into_iter().map(|file| file.name), &listing.retired);
+        let names = kept(
+            listing.files.into_iter().map(|file| file.name),
+            &listing.retired,
+        );
         let Cover {
             current,
             redundant,
@@ -168,8 +179,16 @@ impl<'a> Verifier<'a> {
         };
         let checks = file.checks.len() as u64;
         self.report.checks += checks;
-        self.report.flanks += file.checks.iter().map(|check| check.flanks.len() as u64).sum::<u64>();
-        if let Some(seals) = self.keys.iter().find(|seals| seals.station() == file.station_key) {
+        self.report.flanks += file
+            .checks
+            .iter()
+            .map(|check| check.flanks.len() as u64)
+            .sum::<u64>();
+        if let Some(seals) = self
+            .keys
+            .iter()
+            .find(|seals| seals.station() == file.station_key)
+        {
             match file.verify_seals(seals) {
                 Ok(()) => self.report.sealed += checks,
                 Err(why) => {
@@ -180,7 +199,10 @@ impl<'a> Verifier<'a> {
         }
         let day = &file.range.date;
         let key = (file.range.station.clone(), file.station_key.clone());
-        let days = self.days.entry(key).or_insert_with(|| (day.clone(), day.clone()));
+        let days = self
+            .days
+            .entry(key)
+            .or_insert_with(|| (day.clone(), day.clone()));
         if *day < days.0 {
             days.0.clone_from(day);
         }
@@ -248,7 +270,9 @@ impl<'a> Verifier<'a> {
     fn missing(&mut self, current: &[FileName], retired: &[Retired]) {
         let mut last_of_history: BTreeMap<&str, i64> = BTreeMap::new();
         for name in current {
-            let last = last_of_history.entry(&name.range.stream.history).or_default();
+            let last = last_of_history
+                .entry(&name.range.stream.history)
+                .or_default();
             *last = name.range.last.max(*last);
         }
         let streams: BTreeSet<&Stream> = current.iter().map(|name| &name.range.stream).collect();
@@ -263,7 +287,8 @@ impl<'a> Verifier<'a> {
                     && current.iter().any(|other| {
                         other.range.stream != *stream
                             && other.range.stream.history == stream.history
-                            && (other.range.first..=other.range.last).contains(&(name.range.first - 1))
+                            && (other.range.first..=other.range.last)
+                                .contains(&(name.range.first - 1))
                     });
                 if name.range.first > next && !goes_on {
                     self.report.findings.push(Finding::Missing {
@@ -284,7 +309,9 @@ impl<'a> Verifier<'a> {
         }
         for (station, keys) in keys_of {
             let overlaps = keys.iter().enumerate().any(|(at, (_, one))| {
-                keys[..at].iter().any(|(_, other)| one.0 <= other.1 && other.0 <= one.1)
+                keys[..at]
+                    .iter()
+                    .any(|(_, other)| one.0 <= other.1 && other.0 <= one.1)
             });
             if overlaps {
                 self.report.findings.push(Finding::TwoStations {

@@ -15,7 +15,10 @@ use jiff::Timestamp;
 /// The files that count, as a reader finds them.
 fn current(lake: &Lake) -> Vec<FileName> {
     let listing = run(lake.list(None)).unwrap();
-    let found = cover(kept(listing.files.into_iter().map(|file| file.name), &listing.retired));
+    let found = cover(kept(
+        listing.files.into_iter().map(|file| file.name),
+        &listing.retired,
+    ));
     assert_eq!(found.doubled, Vec::new());
     found.current
 }
@@ -65,11 +68,17 @@ fn the_files_of_a_day_become_one_and_keep_their_seals() {
     assert_eq!(numbers(&lake), before);
     assert_eq!(verified(&station, &lake), Vec::new());
     // By a clock that is behind that of the store, nothing is old enough to be removed.
-    assert_eq!(compacted(&lake, "2001-03-02T12:00:00Z", None, none), Compacted::default());
+    assert_eq!(
+        compacted(&lake, "2001-03-02T12:00:00Z", None, none),
+        Compacted::default()
+    );
     let done = compacted(&lake, LONG_AFTER, None, none);
     assert_eq!((done.into, done.removed), (2, 4));
     assert_eq!(compacted(&lake, LONG_AFTER, None, none).into, 0);
-    assert_eq!(compacted(&lake, LONG_AFTER, None, none), Compacted::default());
+    assert_eq!(
+        compacted(&lake, LONG_AFTER, None, none),
+        Compacted::default()
+    );
     assert_eq!(current(&lake).len(), 3);
     assert_eq!(run(lake.list(None)).unwrap().files.len(), 3);
     assert_eq!(numbers(&lake), before);
@@ -123,10 +132,16 @@ fn damaged_and_doubled_files_are_left_alone() {
     std::fs::write(&path, &whole).unwrap();
     let done = compacted(&lake, LONG_AFTER, None, Duration::MAX);
     assert_eq!(done.into, 1);
-    let joined = current(&lake).into_iter().find(|name| name.range.first == 1).unwrap();
+    let joined = current(&lake)
+        .into_iter()
+        .find(|name| name.range.first == 1)
+        .unwrap();
     let joined_path = station.lake_folder().join(joined.to_string());
     let bytes = std::fs::read(&joined_path).unwrap();
     std::fs::write(&joined_path, &bytes[..bytes.len() - 9]).unwrap();
     let done = compacted(&lake, LONG_AFTER, None, Duration::ZERO);
-    assert!(path.exists() && done.left.iter().any(|(name, _)| *name == joined), "{done:?}");
+    assert!(
+        path.exists() && done.left.iter().any(|(name, _)| *name == joined),
+        "{done:?}"
+    );
 }

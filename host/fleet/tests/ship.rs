@@ -10,7 +10,7 @@ use flankscope_fleet::name::{FileName, cover};
 use flankscope_fleet::rows::{LakeCheck, Stream};
 use flankscope_fleet::ship::{PART_CHECKS, ShipError};
 use flankscope_record::history::History;
-use histories::{LATER, OVER, Station, minute_of_march, run};
+use histories::{LATER, OVER, Station, fleet, minute_of_march, run};
 
 fn names(lake: &Lake) -> Vec<FileName> {
     let listing = run(lake.list(None)).unwrap();
@@ -41,7 +41,11 @@ fn bytes_by_name(folder: &Path) -> BTreeMap<String, Vec<u8>> {
             match path.is_dir() {
                 true => folders.push(path),
                 false => {
-                    let name = path.strip_prefix(folder).unwrap().to_string_lossy().into_owned();
+                    let name = path
+                        .strip_prefix(folder)
+                        .unwrap()
+                        .to_string_lossy()
+                        .into_owned();
                     files.insert(name, std::fs::read(path).unwrap());
                 }
             }
@@ -65,7 +69,10 @@ fn every_check_is_in_the_lake_once_and_as_it_is_stored() {
     assert_eq!(checks.len(), stored.len());
     for (((stream, _), shipped), stored) in checks.iter().zip(&stored) {
         assert_eq!(*shipped, LakeCheck::new(stream, stored).unwrap());
-        assert_eq!(shipped.flanks.len(), if stored.check.id == 100 { 0 } else { 6 });
+        assert_eq!(
+            shipped.flanks.len(),
+            if stored.check.id == 100 { 0 } else { 6 }
+        );
     }
     // Shipped again, nothing is: not by this shipper, not by another one.
     assert_eq!(station.ship(&lake, LATER).unwrap(), Default::default());
@@ -74,10 +81,18 @@ fn every_check_is_in_the_lake_once_and_as_it_is_stored() {
     let second = Lake::open(other.path().to_str().unwrap()).unwrap();
     assert!(station.ship(&second, OVER).unwrap().files > 0);
     station.ship(&second, LATER).unwrap();
-    assert_eq!(bytes_by_name(other.path()), bytes_by_name(&station.lake_folder()));
-    let folders: std::collections::BTreeSet<String> =
-        names(&lake).iter().map(|name| name.range.date.clone()).collect();
-    assert_eq!(folders.into_iter().collect::<Vec<_>>(), ["2001-03-01", "2001-03-02"]);
+    assert_eq!(
+        bytes_by_name(other.path()),
+        bytes_by_name(&station.lake_folder())
+    );
+    let folders: std::collections::BTreeSet<String> = names(&lake)
+        .iter()
+        .map(|name| name.range.date.clone())
+        .collect();
+    assert_eq!(
+        folders.into_iter().collect::<Vec<_>>(),
+        ["2001-03-01", "2001-03-02"]
+    );
 }
 
 #[test]
@@ -85,9 +100,15 @@ fn an_open_part_waits_for_what_closes_it() {
     let station = Station::new("press 7");
     let lake = station.lake();
     station.store(40);
-    assert_eq!(station.ship(&lake, OVER).unwrap().checks, PART_CHECKS as u64);
+    assert_eq!(
+        station.ship(&lake, OVER).unwrap().checks,
+        PART_CHECKS as u64
+    );
     station.store(30);
-    assert_eq!(station.ship(&lake, OVER).unwrap().checks, PART_CHECKS as u64);
+    assert_eq!(
+        station.ship(&lake, OVER).unwrap().checks,
+        PART_CHECKS as u64
+    );
     assert_eq!(station.ship(&lake, LATER).unwrap().checks, 6);
     // A day that was not over after all: what comes is a file of its own.
     station.store(30);
@@ -114,11 +135,18 @@ fn two_shippers_of_one_history_put_the_same_files() {
     let station = Station::new("press 7");
     station.store(400);
     let lake_folder = station.lake_folder();
-    let arguments = ["ship", "--history", station.history().to_str().unwrap(), "--lake", lake_folder.to_str().unwrap()]
-        .map(str::to_owned);
+    let arguments = [
+        "ship",
+        "--history",
+        station.history().to_str().unwrap(),
+        "--lake",
+        lake_folder.to_str().unwrap(),
+    ]
+    .map(str::to_owned);
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let mut both: Vec<_> =
-        (0..2).map(|_| station.fleet(&arguments).spawn().unwrap()).collect();
+    let mut both: Vec<_> = (0..2)
+        .map(|_| fleet!(station, &arguments).spawn().unwrap())
+        .collect();
     for shipper in &mut both {
         assert!(shipper.wait().unwrap().success());
     }
@@ -146,7 +174,11 @@ fn a_history_accepted_as_it_is_goes_on_where_the_lake_ends() {
     assert_eq!(station.ship(&lake, LATER).unwrap().checks, 30);
     let checks = in_lake(&lake);
     assert_eq!(checks.len(), 100);
-    let twice: Vec<i64> = checks.keys().map(|(_, number)| *number).filter(|n| *n > 50).collect();
+    let twice: Vec<i64> = checks
+        .keys()
+        .map(|(_, number)| *number)
+        .filter(|n| *n > 50)
+        .collect();
     assert_eq!(twice.len(), 50);
     assert_eq!(station.ship(&lake, LATER).unwrap(), Default::default());
 }
@@ -160,7 +192,11 @@ fn a_copy_that_went_on_apart_is_refused() {
     let elsewhere = station.folder.path().join("elsewhere");
     let memory = flankscope_record::seal::Seals::open(&elsewhere).unwrap();
     drop(memory);
-    std::fs::copy(station.key().join("station.key"), elsewhere.join("station.key")).unwrap();
+    std::fs::copy(
+        station.key().join("station.key"),
+        elsewhere.join("station.key"),
+    )
+    .unwrap();
     let seals = flankscope_record::seal::Seals::existing(&elsewhere).unwrap();
     let copy = station.folder.path().join("copy.db");
     std::fs::copy(station.history(), &copy).unwrap();
@@ -168,12 +204,19 @@ fn a_copy_that_went_on_apart_is_refused() {
     station.ship(&lake, LATER).unwrap();
     let mut other = History::open(&copy, &seals).unwrap();
     for number in 0..60 {
-        other.record(&histories::inspection("press 7", 1000 + number), None).unwrap();
+        other
+            .record(&histories::inspection("press 7", 1000 + number), None)
+            .unwrap();
     }
     drop(other);
     let refused = run(async {
         let history = History::read(&copy, &seals).unwrap();
-        flankscope_fleet::ship::Shipper::new(history, &seals, &lake).await.err()
+        flankscope_fleet::ship::Shipper::new(history, &seals, &lake)
+            .await
+            .err()
     });
-    assert!(matches!(refused, Some(ShipError::Diverged { check: 80, .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Some(ShipError::Diverged { check: 80, .. })),
+        "{refused:?}"
+    );
 }

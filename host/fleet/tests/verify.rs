@@ -48,12 +48,18 @@ fn an_untouched_lake_is_as_its_station_shipped_it() {
     let history = station.read();
     let report = verified(&lake, std::slice::from_ref(&station.seals), Some(&history));
     assert_eq!(report.findings, Vec::new());
-    assert_eq!((report.checks, report.sealed, report.links_behind), (150, 150, 0));
+    assert_eq!(
+        (report.checks, report.sealed, report.links_behind),
+        (150, 150, 0)
+    );
     assert_eq!(report.flanks, 149 * 6);
     // Without a key, digests alone.
     assert_eq!(verified(&lake, &[], None).sealed, 0);
     station.store(3);
-    assert_eq!(verified(&lake, std::slice::from_ref(&station.seals), None).links_behind, 3);
+    assert_eq!(
+        verified(&lake, std::slice::from_ref(&station.seals), None).links_behind,
+        3
+    );
 }
 
 #[test]
@@ -107,19 +113,33 @@ fn who_edits_a_row_and_names_the_file_anew_has_no_key() {
     let forged = file.name();
     std::fs::remove_file(path(&station, &name)).unwrap();
     std::fs::write(path(&station, &forged), file.encode().unwrap()).unwrap();
-    assert_eq!(verified(&lake, &[], None).findings, Vec::new(), "who has no key cannot know");
+    assert_eq!(
+        verified(&lake, &[], None).findings,
+        Vec::new(),
+        "who has no key cannot know"
+    );
     let said = findings(&station, &lake);
-    assert!(matches!(&said[..], [Finding::Damaged { why, .. }] if why.contains("sealed")), "{said:?}");
+    assert!(
+        matches!(&said[..], [Finding::Damaged { why, .. }] if why.contains("sealed")),
+        "{said:?}"
+    );
     // Nor with a key of one's own.
     let own = Seals::open(&station.folder.path().join("forger")).unwrap();
     let resealed = LakeFile::sealed(file.range.clone(), file.checks.clone(), &own);
     std::fs::write(path(&station, &forged), resealed.encode().unwrap()).unwrap();
     let keys = [station.seals.clone(), own];
     let said = verified(&lake, &keys, None).findings;
-    assert!(matches!(&said[..], [Finding::TwoStations { .. }]), "{said:?}");
+    assert!(
+        matches!(&said[..], [Finding::TwoStations { .. }]),
+        "{said:?}"
+    );
     // The history knows which check it was.
     let said = verified(&lake, &[], Some(&station.read())).findings;
-    assert!(said.iter().any(|f| matches!(f, Finding::NotOfHistory { check: 6, .. })), "{said:?}");
+    assert!(
+        said.iter()
+            .any(|f| matches!(f, Finding::NotOfHistory { check: 6, .. })),
+        "{said:?}"
+    );
 }
 
 #[test]
@@ -162,11 +182,19 @@ fn a_file_in_another_folder_or_under_another_name_is_not_believed() {
         std::fs::create_dir_all(to.parent().unwrap()).unwrap();
         std::fs::rename(path(&station, &name), &to).unwrap();
         let said = findings(&station, &lake);
-        assert!(said.iter().any(|f| matches!(f, Finding::Damaged { .. })), "{said:?}");
+        assert!(
+            said.iter().any(|f| matches!(f, Finding::Damaged { .. })),
+            "{said:?}"
+        );
         std::fs::rename(&to, path(&station, &name)).unwrap();
     }
     std::fs::write(station.lake_folder().join("notes.txt"), "of somebody").unwrap();
-    assert_eq!(findings(&station, &lake), [Finding::Foreign { path: "notes.txt".into() }]);
+    assert_eq!(
+        findings(&station, &lake),
+        [Finding::Foreign {
+            path: "notes.txt".into()
+        }]
+    );
 }
 
 /// A copy of a history went on by itself, and both were shipped from the beginning, each before the other was there.
@@ -178,29 +206,44 @@ fn two_copies_of_a_history_in_one_lake_are_named() {
     std::fs::copy(station.history(), &copy).unwrap();
     let elsewhere = station.folder.path().join("elsewhere");
     Seals::open(&elsewhere).unwrap();
-    std::fs::copy(station.key().join("station.key"), elsewhere.join("station.key")).unwrap();
+    std::fs::copy(
+        station.key().join("station.key"),
+        elsewhere.join("station.key"),
+    )
+    .unwrap();
     let seals = Seals::existing(&elsewhere).unwrap();
     let mut other = History::open(&copy, &seals).unwrap();
     for number in 0..60 {
-        other.record(&histories::inspection("press 7", 1000 + number), None).unwrap();
+        other
+            .record(&histories::inspection("press 7", 1000 + number), None)
+            .unwrap();
     }
     drop(other);
     station.store(60);
     let lake = station.lake();
     let (one, two) = run(async {
         let of = |path: PathBuf, seals: &Seals| History::read(&path, seals).unwrap();
-        let mut one =
-            flankscope_fleet::ship::Shipper::new(of(station.history(), &station.seals), &station.seals, &lake)
-                .await
-                .unwrap();
+        let mut one = flankscope_fleet::ship::Shipper::new(
+            of(station.history(), &station.seals),
+            &station.seals,
+            &lake,
+        )
+        .await
+        .unwrap();
         let mut two = flankscope_fleet::ship::Shipper::new(of(copy.clone(), &seals), &seals, &lake)
             .await
             .unwrap();
-        (one.pass(LATER).await.unwrap(), two.pass(LATER).await.unwrap())
+        (
+            one.pass(LATER).await.unwrap(),
+            two.pass(LATER).await.unwrap(),
+        )
     });
     assert_eq!((one.files, two.files, two.there_already), (4, 3, 1));
     let said = findings(&station, &lake);
-    let doubled = said.iter().filter(|f| matches!(f, Finding::Doubled { .. })).count();
+    let doubled = said
+        .iter()
+        .filter(|f| matches!(f, Finding::Doubled { .. }))
+        .count();
     assert_eq!(doubled, 3, "{said:?}");
 }
 
@@ -221,7 +264,10 @@ fn a_history_that_the_station_did_not_write_so_far_is_named() {
         std::fs::write(path, bytes).unwrap();
     }
     let said = findings(&station, &lake);
-    assert!(matches!(&said[..], [Finding::OtherChain { .. }]), "{said:?}");
+    assert!(
+        matches!(&said[..], [Finding::OtherChain { .. }]),
+        "{said:?}"
+    );
 }
 
 #[test]
@@ -233,7 +279,10 @@ fn two_stations_of_one_name_are_named() {
         station.ship(&lake, LATER).unwrap();
     }
     let said = findings(&one, &lake);
-    assert!(matches!(&said[..], [Finding::TwoStations { keys, .. }] if keys.len() == 2), "{said:?}");
+    assert!(
+        matches!(&said[..], [Finding::TwoStations { keys, .. }] if keys.len() == 2),
+        "{said:?}"
+    );
     // One after the other: a station that got another key.
     let (one, other) = (Station::new("press 8"), Station::new("press 8"));
     let lake = one.lake();

@@ -1,7 +1,6 @@
 //! Histories of checks that nobody made, written by the instrument's own code, and lakes to ship them into.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use flankscope_fleet::lake::Lake;
 use flankscope_fleet::ship::{ShipError, Shipped, Shipper};
@@ -31,8 +30,9 @@ pub fn inspection(station: &str, press_cycles: u32) -> Inspection {
             patch: None,
         },
         // A line that wears, and something beside it.
-        wear_um: (press_cycles % 50 != 7)
-            .then(|| f64::from(press_cycles) / 800.0 + f64::from(press_cycles * 7919 % 1000) / 997.0),
+        wear_um: (press_cycles % 50 != 7).then(|| {
+            f64::from(press_cycles) / 800.0 + f64::from(press_cycles * 7919 % 1000) / 997.0
+        }),
         u95_um: Some(4.0 + f64::from(press_cycles * 104_729 % 1000) / 9973.0),
         at_least_um: None,
         mean_um: Some(0.0),
@@ -145,14 +145,18 @@ impl Station {
         let mut history = History::open(path, &self.seals).unwrap();
         let stored = u32::try_from(history.ids().unwrap().len()).unwrap();
         for number in 0..checks {
-            history.record(&inspection(&self.name, stored + number), None).unwrap();
+            history
+                .record(&inspection(&self.name, stored + number), None)
+                .unwrap();
         }
     }
 
     /// Dates every check anew, and accepts the history so.
     pub fn date(&self, date_of: impl Fn(i64) -> String) {
         let database = rusqlite::Connection::open(self.history()).unwrap();
-        database.execute_batch("DROP TRIGGER inspection_keeps_UPDATE; BEGIN").unwrap();
+        database
+            .execute_batch("DROP TRIGGER inspection_keeps_UPDATE; BEGIN")
+            .unwrap();
         let ids: Vec<i64> = {
             let mut ids = database.prepare("SELECT id FROM inspection").unwrap();
             let ids = ids.query_map([], |row| row.get(0)).unwrap();
@@ -160,7 +164,10 @@ impl Station {
         };
         for id in ids {
             database
-                .execute("UPDATE inspection SET at = ?2 WHERE id = ?1", (id, date_of(id)))
+                .execute(
+                    "UPDATE inspection SET at = ?2 WHERE id = ?1",
+                    (id, date_of(id)),
+                )
                 .unwrap();
         }
         database.execute_batch("COMMIT").unwrap();
@@ -179,18 +186,13 @@ impl Station {
             shipper.pass(today).await
         })
     }
-
-    /// The program, as this station starts it.
-    pub fn fleet(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_flankscope-fleet"));
-        command.env("FLANKSCOPE_STATE", self.key()).args(arguments);
-        command
-    }
 }
 
 /// Runs to the end.
 pub fn run<T>(work: impl Future<Output = T>) -> T {
-    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
     runtime.block_on(work)
 }
 
@@ -200,3 +202,17 @@ pub fn minute_of_march(n: i64) -> String {
     let (day, hour, minute) = (1 + n / 1440, n / 60 % 24, n % 60);
     format!("2001-03-{day:02}T{hour:02}:{minute:02}:00.000Z")
 }
+
+/// The program, as a station starts it. Examples do not know where it is.
+#[allow(unused_macros)]
+macro_rules! fleet {
+    ($station:expr, $arguments:expr) => {{
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_flankscope-fleet"));
+        command
+            .env("FLANKSCOPE_STATE", $station.key())
+            .args($arguments);
+        command
+    }};
+}
+#[allow(unused_imports)]
+pub(crate) use fleet;
