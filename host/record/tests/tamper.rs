@@ -741,7 +741,10 @@ fn links_from_a_position_are_verified_alone_and_read_with_their_checks() {
     let history = History::read(&copy, &seals()).unwrap();
     let linked = history.linked_checks(1..=9, 0).unwrap();
     let checks: Vec<_> = linked.iter().map(|linked| &linked.check).collect();
-    assert_eq!(checks, history.checks("die").unwrap().iter().collect::<Vec<_>>());
+    assert_eq!(
+        checks,
+        history.checks("die").unwrap().iter().collect::<Vec<_>>()
+    );
     assert!(linked.iter().all(|linked| linked.geometry == "0123"));
     let connection = Connection::open(&copy).unwrap();
     let in_chain: Vec<(i64, String)> = connection
@@ -755,19 +758,30 @@ fn links_from_a_position_are_verified_alone_and_read_with_their_checks() {
     assert_eq!(links, in_chain);
     let before = links[0].0;
     assert_eq!(history.linked_checks(2..=3, before).unwrap(), linked[1..]);
-    assert!(history.linked_checks(1..=1, before).is_err(), "its link is not behind itself");
+    assert!(
+        history.linked_checks(1..=1, before).is_err(),
+        "its link is not behind itself"
+    );
     let whereabouts = history.whereabouts_after(1, 1).unwrap();
-    assert_eq!((whereabouts[0].check, &whereabouts[0].at), (2, &checks[1].at));
+    assert_eq!(
+        (whereabouts[0].check, &whereabouts[0].at),
+        (2, &checks[1].at)
+    );
     assert_eq!(history.station_names().unwrap(), ["press 7"]);
     assert_eq!(history.relinked().unwrap(), None);
 
     let last = history.verify_links_after(0).unwrap();
     assert_eq!(history.verify_links_after(before).unwrap(), last);
-    assert!(history.verify_links_after(last + 1).is_err(), "there is no such link");
+    assert!(
+        history.verify_links_after(last + 1).is_err(),
+        "there is no such link"
+    );
     // A change of a row is found from every position before it, and from none behind it.
     let changed = || {
         let connection = Connection::open(&copy).unwrap();
-        connection.execute_batch("DROP TRIGGER inspection_keeps_UPDATE").unwrap();
+        connection
+            .execute_batch("DROP TRIGGER inspection_keeps_UPDATE")
+            .unwrap();
         let sql = "UPDATE inspection SET reason = 'all is fine' WHERE id = 2";
         assert_eq!(connection.execute(sql, []).unwrap(), 1);
     };

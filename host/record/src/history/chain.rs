@@ -283,11 +283,9 @@ impl History {
     /// # Errors
     /// As [`History::verify`].
     pub fn verify_links_after(&self, link: i64) -> Result<i64, HistoryError> {
-        let before = self.rows(
-            "SELECT digest FROM chain WHERE link = ?1",
-            [link],
-            |row| row.get::<_, String>(0),
-        )?;
+        let before = self.rows("SELECT digest FROM chain WHERE link = ?1", [link], |row| {
+            row.get::<_, String>(0)
+        })?;
         let mut before = match (before.into_iter().next(), link) {
             (Some(digest), _) => digest,
             (None, 0) => String::new(),

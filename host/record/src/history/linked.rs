@@ -117,10 +117,9 @@ impl History {
         // Links are in the order of the checks.
         let mut before = after_link;
         for check in checks {
-            let found = geometry_and_link
-                .query_row(params![check.id, before], |row| {
-                    Ok((row.get(0)?, row.get(1)?, row.get(2)?))
-                });
+            let found = geometry_and_link.query_row(params![check.id, before], |row| {
+                Ok((row.get(0)?, row.get(1)?, row.get(2)?))
+            });
             let (geometry, link, digest) = match found {
                 Ok(found) => found,
                 Err(rusqlite::Error::QueryReturnedNoRows) => {
