@@ -19,7 +19,7 @@ def duckdb_finds(files):
     import duckdb
 
     found = duckdb.sql(f"SELECT {WORDS} FROM read_parquet({files!r}, hive_partitioning = true)")
-    return dict(zip(found.columns, found.fetchone()))
+    return dict(zip(found.columns, found.fetchall()[0]))
 
 
 def polars_finds(files):
@@ -58,7 +58,7 @@ def duckdb_rule(glob):
     connection = duckdb.connect()
     connection.execute(sql.replace("LAKE/*/*/*.parquet", glob))
     found = connection.sql(f"SELECT {WORDS} FROM checks")
-    return dict(zip(found.columns, found.fetchone()))
+    return dict(zip(found.columns, found.fetchall()[0]))
 
 
 def evolve(lake, old):
@@ -74,7 +74,7 @@ def evolve(lake, old):
     sql = f"SELECT count(*), count(operator), count(reason) FROM read_parquet({both!r}, union_by_name = true)"
     frame = pl.scan_parquet(both, missing_columns="insert", hive_partitioning=False)
     row = frame.select(pl.len(), pl.col("operator").count(), pl.col("reason").count().alias("r")).collect()
-    return {"duckdb": list(duckdb.sql(sql).fetchone()), "polars": list(row.row(0))}
+    return {"duckdb": list(duckdb.sql(sql).fetchall()[0]), "polars": list(row.row(0))}
 
 
 def serve():

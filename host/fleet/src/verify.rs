@@ -103,14 +103,17 @@ pub struct Report {
     pub links_behind: i64,
 }
 
+/// First and last day.
+type Days = (String, String);
+
 /// A verification of a lake.
 #[derive(Debug)]
 pub struct Verifier<'a> {
     lake: &'a Lake,
     keys: &'a [Seals],
     report: Report,
-    /// First and last day of each key that signs for a station.
-    days: BTreeMap<(String, String), (String, String)>,
+    /// Days of each station's name and key.
+    days: BTreeMap<(String, String), Days>,
 }
 
 impl<'a> Verifier<'a> {
@@ -303,7 +306,7 @@ impl<'a> Verifier<'a> {
     }
 
     fn two_stations(&mut self) {
-        let mut keys_of: BTreeMap<&str, Vec<(&str, &(String, String))>> = BTreeMap::new();
+        let mut keys_of: BTreeMap<&str, Vec<(&str, &Days)>> = BTreeMap::new();
         for ((station, key), days) in &self.days {
             keys_of.entry(station).or_default().push((key, days));
         }

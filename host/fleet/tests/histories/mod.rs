@@ -57,7 +57,7 @@ pub fn inspection(station: &str, press_cycles: u32) -> Inspection {
                 seal: "signed".into(),
             },
             station: station.into(),
-            operator: (press_cycles % 3 == 0).then(|| "Ada".into()),
+            operator: press_cycles.is_multiple_of(3).then(|| "Ada".into()),
             recording: None,
         },
         date: "2026-01-31T12:00:00Z".into(),
