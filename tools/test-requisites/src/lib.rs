@@ -145,8 +145,15 @@ pub fn emulated_board(board: &str) -> Option<PathBuf> {
 }
 
 fn has_emulator() -> bool {
+    on_path("qemu-system-arm").is_some()
+}
+
+/// A program where the shell looks for one.
+#[must_use]
+pub fn on_path(program: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
-    std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file())
+    let mut programs = std::env::split_paths(&path).map(|folder| folder.join(program));
+    programs.find(|program| program.is_file())
 }
 
 /// A Python that has these modules: that of the folder in `FLANKSCOPE_PYTHON`, of `target/python` (`.ci/run` makes it), or the
@@ -180,10 +187,7 @@ pub const PROMETHEUS: &str = "prometheus";
 /// It is missing although everything must run.
 #[must_use]
 pub fn prometheus() -> Option<PathBuf> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let mut programs = std::env::split_paths(&path).map(|folder| folder.join(PROMETHEUS));
-    let found = programs.find(|program| program.is_file());
-    found.or_else(|| missed(PROMETHEUS))
+    on_path(PROMETHEUS).or_else(|| missed(PROMETHEUS))
 }
 
 /// Names of the browser whose engine draws the pages in tests.
@@ -195,12 +199,7 @@ pub const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"]
 /// There is none although everything must run.
 #[must_use]
 pub fn browser() -> Option<PathBuf> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let mut folders = std::env::split_paths(&path);
-    let found = folders.find_map(|folder| {
-        let mut programs = BROWSERS.iter().map(|name| folder.join(name));
-        programs.find(|program| program.is_file())
-    });
+    let found = BROWSERS.iter().find_map(|name| on_path(name));
     found.or_else(|| missed("Chromium"))
 }
 

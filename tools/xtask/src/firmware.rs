@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use flankscope_test_requisites::on_path;
 use serde_json::Value;
 
 use crate::elf::{Image, Symbol};
@@ -110,7 +111,7 @@ pub fn build(root: &Path) -> Result<(), String> {
 /// Runs the in-situ check in-process and through the emulated image, compares them and prints the image's timing.
 pub fn qemu(root: &Path) -> Result<(), String> {
     build(root)?;
-    if !is_on_path("qemu-system-arm") {
+    if on_path("qemu-system-arm").is_none() {
         return Err("qemu-system-arm is missing; get it: apt-get install qemu-system-arm".into());
     }
     let program = crate::test_programs()?.join("flankscope");
@@ -252,7 +253,7 @@ impl Toolchain {
             return Err("the source of core is not installed".into());
         }
         match self.linker {
-            Some(linker) if !is_on_path(linker) => Err(format!("{linker} is missing")),
+            Some(linker) if on_path(linker).is_none() => Err(format!("{linker} is missing")),
             _ => Ok(()),
         }
     }
@@ -276,11 +277,6 @@ fn new_enough(said: &str, update: &str) -> Result<(), String> {
         )),
         Some(_) => Ok(()),
     }
-}
-
-pub fn is_on_path(program: &str) -> bool {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
 }
 
 fn image_path(root: &Path, board: &Board) -> PathBuf {

@@ -5,6 +5,7 @@ use std::process::Command;
 
 use flankscope_test_requisites::LAKE_READERS;
 
+use crate::python::environment;
 use crate::{cargo, run, target};
 
 /// The workspace.
@@ -12,7 +13,7 @@ pub const FLEET: &str = "host/fleet";
 
 /// Its checks; `all`: the long ones, too, and none may be missed.
 pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
-    environment(root)?;
+    readers(root)?;
     let command = |arguments: &[&str]| {
         let mut command = cargo(arguments);
         // Built once for the workspace, not in a folder of its own.
@@ -39,15 +40,11 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
 }
 
 /// Python with other people's readers of Parquet, fetched by pip.
-fn environment(root: &Path) -> Result<(), String> {
-    let python = root.join(LAKE_READERS);
-    if python.is_file() {
+fn readers(root: &Path) -> Result<(), String> {
+    if root.join(LAKE_READERS).is_file() {
         return Ok(());
     }
-    let folder = root.join("target/lake-readers");
-    let mut venv = Command::new("python3");
-    venv.args(["-m", "venv"]).arg(&folder);
-    run(venv)?;
+    let python = environment(&root.join("target/lake-readers"))?;
     let mut pip = Command::new(&python);
     pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "-r"])
         .arg(root.join("tools/peers/lake-readers.txt"));

@@ -48,13 +48,11 @@ pub fn run(root: &Path, environment: Option<&str>) -> Result<(), String> {
 
 /// Python with the packages of `tools/peers/light.txt`.
 fn fetched(root: &Path, environment: &Path) -> Result<PathBuf, String> {
-    let mut make = Command::new("python3");
-    make.args(["-m", "venv"]).arg(environment);
-    super::run(make)?;
-    let mut fetch = Command::new(environment.join("bin/pip"));
+    let python = super::python::environment(environment)?;
+    let mut fetch = Command::new(&python);
     fetch
-        .args(["install", "-q", "-r"])
+        .args(["-m", "pip", "install", "-q", "-r"])
         .arg(root.join("tools/peers/light.txt"));
     super::run(fetch)?;
-    Ok(environment.join("bin/python"))
+    Ok(python)
 }

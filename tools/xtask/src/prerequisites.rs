@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use flankscope_test_requisites::{
-    BROWSERS, MOSQUITTO, MQTT_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis,
+    BROWSERS, MOSQUITTO, MQTT_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis, on_path,
 };
 
 use crate::{firmware, python};
@@ -44,14 +44,14 @@ pub fn missing(root: &Path) -> Vec<Missing> {
     }
     let images = [firmware::EMULATED_IMAGE, firmware::EMULATED_STM32_IMAGE];
     let images = images.iter().all(|image| root.join(image).is_file());
-    if !firmware::is_on_path("qemu-system-arm") || !images {
+    if on_path("qemu-system-arm").is_none() || !images {
         missing.push(Missing {
             what: "the check through the controller's Cortex-M image, and the board's program on an emulated STM32",
             needs: "qemu-system-arm and the images",
             how: "apt-get update && apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }
-    if !BROWSERS.iter().any(|name| firmware::is_on_path(name)) {
+    if !BROWSERS.iter().any(|name| on_path(name).is_some()) {
         missing.push(Missing {
             what: "pages drawn at three widths and printed",
             needs: "Chromium",
@@ -79,14 +79,14 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "python3 -m venv target/stage-clients && target/stage-clients/bin/pip install --no-deps -r tools/peers/stage-clients.txt",
         });
     }
-    if !Path::new(MOSQUITTO).is_file() || !firmware::is_on_path("openssl") {
+    if !Path::new(MOSQUITTO).is_file() || on_path("openssl").is_none() {
         missing.push(Missing {
             what: "the plant's messages to another's MQTT broker",
             needs: "mosquitto, and openssl for its certificates",
             how: "apt-get install mosquitto openssl",
         });
     }
-    if !firmware::is_on_path(PROMETHEUS) {
+    if on_path(PROMETHEUS).is_none() {
         missing.push(Missing {
             what: "the plant's metrics scraped by another's server, and every panel of the dashboard asked of it",
             needs: "Prometheus",

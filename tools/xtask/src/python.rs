@@ -1,19 +1,13 @@
 //! The Python package: installed as a user does it, tested against others, its examples run, its types held against it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::{run, target};
 
 /// Installs `host/python` into an environment of its own and runs what it has. pip fetches what it builds with and compares with.
 pub fn run_all(root: &Path) -> Result<(), String> {
-    let environment = target().join("python-package");
-    let python = environment.join("bin/python");
-    if !python.is_file() {
-        let mut venv = Command::new("python3");
-        venv.args(["-m", "venv"]).arg(&environment);
-        run(venv)?;
-    }
+    let python = environment(&target().join("python-package"))?;
     let package = root.join("host/python");
     let command = |arguments: &[&str]| {
         let mut command = Command::new(&python);
@@ -36,6 +30,20 @@ pub fn run_all(root: &Path) -> Result<(), String> {
     ];
     run(command(&stubs))?;
     run(command(&["-m", "mypy", "--strict", "examples"]))
+}
+
+/// The Python of an environment in this folder, which is made if it is not there.
+///
+/// # Errors
+/// It cannot be made.
+pub fn environment(folder: &Path) -> Result<PathBuf, String> {
+    let python = folder.join("bin/python");
+    if !python.is_file() {
+        let mut venv = Command::new("python3");
+        venv.args(["-m", "venv"]).arg(folder);
+        run(venv)?;
+    }
+    Ok(python)
 }
 
 /// Whether Python can make environments here.

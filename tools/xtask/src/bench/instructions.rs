@@ -16,7 +16,7 @@ const TOLERANCE: f64 = 0.03;
 
 /// Counts every kernel on the benchmark's data and fails if one became dearer.
 pub fn check(data: &Path) -> Result<(), String> {
-    if !crate::firmware::is_on_path("valgrind") {
+    if flankscope_test_requisites::on_path("valgrind").is_none() {
         return Err("valgrind is missing; get it: apt-get install valgrind".into());
     }
     crate::run(crate::cargo(&[
