@@ -189,26 +189,9 @@ fn a_copy_that_went_on_apart_is_refused() {
     let station = Station::new("press 7");
     let lake = station.lake();
     station.store(40);
-    let elsewhere = station.folder.path().join("elsewhere");
-    let memory = flankscope_record::seal::Seals::open(&elsewhere).unwrap();
-    drop(memory);
-    std::fs::copy(
-        station.key().join("station.key"),
-        elsewhere.join("station.key"),
-    )
-    .unwrap();
-    let seals = flankscope_record::seal::Seals::existing(&elsewhere).unwrap();
-    let copy = station.folder.path().join("copy.db");
-    std::fs::copy(station.history(), &copy).unwrap();
+    let (copy, seals) = station.copy_that_went_on();
     station.store(40);
     station.ship(&lake, LATER).unwrap();
-    let mut other = History::open(&copy, &seals).unwrap();
-    for number in 0..60 {
-        other
-            .record(&histories::inspection("press 7", 1000 + number), None)
-            .unwrap();
-    }
-    drop(other);
     let refused = run(async {
         let history = History::read(&copy, &seals).unwrap();
         flankscope_fleet::ship::Shipper::new(history, &seals, &lake)

@@ -202,23 +202,7 @@ fn a_file_in_another_folder_or_under_another_name_is_not_believed() {
 fn two_copies_of_a_history_in_one_lake_are_named() {
     let station = Station::new("press 7");
     station.store(40);
-    let copy = station.folder.path().join("copy.db");
-    std::fs::copy(station.history(), &copy).unwrap();
-    let elsewhere = station.folder.path().join("elsewhere");
-    Seals::open(&elsewhere).unwrap();
-    std::fs::copy(
-        station.key().join("station.key"),
-        elsewhere.join("station.key"),
-    )
-    .unwrap();
-    let seals = Seals::existing(&elsewhere).unwrap();
-    let mut other = History::open(&copy, &seals).unwrap();
-    for number in 0..60 {
-        other
-            .record(&histories::inspection("press 7", 1000 + number), None)
-            .unwrap();
-    }
-    drop(other);
+    let (copy, seals) = station.copy_that_went_on();
     station.store(60);
     let lake = station.lake();
     let (one, two) = run(async {

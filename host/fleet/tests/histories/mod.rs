@@ -175,6 +175,27 @@ impl Station {
         History::trust(&self.history(), &self.seals, "Ada").unwrap();
     }
 
+    /// A copy of the history that went on by sixty checks, on a station with the same key that does not know of this one.
+    pub fn copy_that_went_on(&self) -> (PathBuf, Seals) {
+        let elsewhere = self.folder.path().join("elsewhere");
+        Seals::open(&elsewhere).unwrap();
+        std::fs::copy(
+            self.key().join("station.key"),
+            elsewhere.join("station.key"),
+        )
+        .unwrap();
+        let seals = Seals::existing(&elsewhere).unwrap();
+        let copy = self.folder.path().join("copy.db");
+        std::fs::copy(self.history(), &copy).unwrap();
+        let mut other = History::open(&copy, &seals).unwrap();
+        for number in 0..60 {
+            other
+                .record(&inspection(&self.name, 1000 + number), None)
+                .unwrap();
+        }
+        (copy, seals)
+    }
+
     pub fn read(&self) -> History {
         History::read(&self.history(), &self.seals).unwrap()
     }
