@@ -177,9 +177,9 @@ fn test(all: bool) -> Result<(), String> {
 }
 
 /// Tests what a press gets, where there is no bench. Its dependencies are built once more, so nothing is optimised: only help and
-/// command lines are looked at.
+/// command lines are looked at. Code that only a bench uses would be a warning here, and is an error.
 fn deployment() -> Result<(), String> {
-    run(cargo(&[
+    let mut test = cargo(&[
         "test",
         "-p",
         "flankscope",
@@ -187,7 +187,9 @@ fn deployment() -> Result<(), String> {
         "--bins",
         "--config",
         "profile.dev.opt-level=0",
-    ]))
+    ]);
+    test.env("RUSTFLAGS", "-D warnings");
+    run(test)
 }
 
 /// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that
@@ -230,17 +232,7 @@ fn lint() -> Result<(), String> {
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
     let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
-    run(cargo(&interleavings))?;
-    // What a deployment builds: no bench.
-    run(cargo(&[
-        "clippy",
-        "-p",
-        "flankscope",
-        "--no-default-features",
-        "--",
-        "-D",
-        "warnings",
-    ]))
+    run(cargo(&interleavings))
 }
 
 fn doc() -> Result<(), String> {
