@@ -16,6 +16,7 @@ use dies::die;
 use super::Args;
 use super::capture::judged;
 use super::page::{command, upper_bound};
+use super::runs::{self, Counts};
 use super::setup::{Setup, flank, on_all_cores};
 use super::stand::Stand;
 
@@ -241,8 +242,34 @@ fn before(
     Ok(all)
 }
 
+/// Of all draws.
+fn counts(draws: &[Draw]) -> Counts {
+    let count = |among: &dyn Fn(&Draw) -> bool| draws.iter().filter(|d| among(d)).count();
+    let open = |d: &Draw| d.word == Word::Indeterminate;
+    Counts {
+        beyond: count(&Draw::is_beyond),
+        beyond_go: count(&Draw::is_false_go),
+        beyond_indeterminate: count(&|d| d.is_beyond() && open(d)),
+        sound: count(&|d| d.truth_um < WARN_UM),
+        sound_go: count(&|d| d.truth_um < WARN_UM && d.word == Word::Go),
+        claims: count(&|d| d.holds().is_some()),
+        claims_missed: count(&|d| d.holds() == Some(false)),
+    }
+}
+
 /// Draws all families and writes `families.md` with the results of each.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    let wanted = |family: &Family| {
+        let only = args.only.as_ref();
+        only.is_none_or(|text| family.name().contains(text))
+    };
+    let families: Vec<Family> = Family::ALL.into_iter().filter(wanted).collect();
+    let of_all = draws(
+        &families,
+        (args.blocks, args.captures),
+        args.seed()?,
+        |line| eprintln!("{line}"),
+    )?;
     let mut text = format!(
         "# Families of dies, drawn at random\n\nMade by `{}` at commit \
          `{}`.\n\nOf every family {} dies are drawn before each of {} heads, each head calibrated on the bench, and judged by frames \
@@ -252,13 +279,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
          200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts, and the truth is that of \
          what camera and projector see of the flank within the head's stated field. *Another size*: 0.02 \
          to 0.2 % larger or smaller, one flank worn 65 to 160 µm. Of texture and worn sides every second head looks against a \
-         baseline. Nothing of the estimator was chosen with these draws in sight. Bounds are one-sided (95 %, Clopper and Pearson); \
-         draws before one head share its calibration.\n\n\
+         baseline. Bounds are one-sided (95 %, Clopper and Pearson); draws before one head share its calibration.\n\n{}\
          | family | beyond {LIMIT_UM} µm | go | warn | no-go | indeterminate | P(go) at most |\n|---|---|---|---|---|---|---|\n",
         command(args),
         args.commit,
         args.captures,
-        args.blocks
+        args.blocks,
+        runs::append(args, counts(&of_all))?
     );
     let mut sound = String::from(
         "\n| family | below 30 µm | go | warn | no-go | indeterminate | P(not go) at most |\n|---|---|---|---|---|---|---|\n",
@@ -267,14 +294,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         "\n| family | claims of judged flanks and lower bounds | do not hold | reasons of the indeterminate ones |\n|---|---|---|---|\n",
     );
     let mut notes = String::new();
-    let wanted = |family: &Family| {
-        let only = args.only.as_ref();
-        only.is_none_or(|text| family.name().contains(text))
-    };
-    let families: Vec<Family> = Family::ALL.into_iter().filter(wanted).collect();
-    let of_all = draws(&families, (args.blocks, args.captures), args.seed, |line| {
-        eprintln!("{line}")
-    })?;
     for family in families {
         let all: Vec<&Draw> = of_all.iter().filter(|d| d.family == family).collect();
         let count = |of: &[&Draw], word| of.iter().filter(|d| d.word == word).count();

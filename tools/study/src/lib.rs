@@ -22,6 +22,7 @@ mod chart;
 mod families;
 mod page;
 mod resolution;
+mod runs;
 mod setup;
 mod staircase;
 mod stand;
@@ -69,9 +70,9 @@ pub struct Args {
     /// Captures per row and block.
     #[arg(long, default_value_t = 1)]
     pub captures: u32,
-    /// Seed of all that is drawn: heads, targets, dies, damage, stages, noise.
-    #[arg(long, default_value_t = 2)]
-    pub seed: u64,
+    /// Seed of all that is drawn: heads, targets, dies, damage, stages, noise [default: from --commit]
+    #[arg(long)]
+    pub seed: Option<u64>,
     /// Head before them: 10mm, 20mm, or an optics.toml [default: 20mm]
     #[arg(long, value_name = "NAME|FILE")]
     pub head: Option<MadeHead>,
@@ -84,9 +85,15 @@ pub struct Args {
     /// Only rows whose name contains this.
     #[arg(long)]
     pub only: Option<String>,
-    /// The commit that is studied, for the page.
+    /// The commit that is studied: its hash, 40 digits.
     #[arg(long, default_value = "unknown")]
     pub commit: String,
+    /// Log that this run is appended to.
+    #[arg(long, value_name = "CSV", requires = "why")]
+    pub log: Option<PathBuf>,
+    /// Why it is run, for the log.
+    #[arg(long, value_name = "TEXT")]
+    pub why: Option<String>,
 }
 
 /// Runs every case and writes the page.
@@ -108,20 +115,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let cases: Vec<Case> = cases().into_iter().filter(wanted).collect();
     anyhow::ensure!(!cases.is_empty(), "no row of the study has such a name");
     let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
-    let outcome = measure_with(
-        &setup,
-        &cases,
-        (args.blocks, args.captures),
-        args.seed,
-        |line| {
-            eprintln!("{line}");
-        },
-    )?;
+    let seed = args.seed()?;
+    let outcome = measure_with(&setup, &cases, (args.blocks, args.captures), seed, |line| {
+        eprintln!("{line}");
+    })?;
     let staircase = staircase::profiles(Setup::load(None)?.head())?;
     page::write(&args.out, &outcome, &staircase, args)
 }
 
 impl Args {
+    /// The seed: that which was chosen, else what follows from the commit.
+    ///
+    /// # Errors
+    /// None was chosen, and the commit is no hash.
+    pub fn seed(&self) -> anyhow::Result<u64> {
+        self.seed.map_or_else(|| runs::seed_of(&self.commit), Ok)
+    }
+
     /// Name of the pattern set: on bare steel frequencies that the light between two flanks cannot carry.
     pub fn patterns(&self) -> &str {
         let of_head = || Some(self.head.as_ref()?.optics.pattern_set.as_str());

@@ -11,6 +11,7 @@ use super::Args;
 use super::capture::judged;
 use super::families::{LIMIT_UM, WARN_UM};
 use super::page::{command, word as surface_word};
+use super::runs::{self, Counts};
 use super::setup::{Setup, flank, on_all_cores};
 use super::stand::Stand;
 use super::structure::{Plan, Section, Structure, cut};
@@ -176,7 +177,7 @@ fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
     let parts: Vec<&[[usize; 3]]> = fields.chunks(part).collect();
     let found = on_all_cores(parts.len() as u32, |number| {
         // The same head is used for all openings.
-        let mut stand = Stand::new(&setup, 0, args.seed, false)?;
+        let mut stand = Stand::new(&setup, 0, args.seed()?, false)?;
         let mut found = Vec::new();
         for (pair, number) in parts[number as usize].chunks(2).zip((number << 12)..) {
             let flanks = stand.flanks();
@@ -247,11 +248,29 @@ fn structure(judged: Rectangle, [series, width, depth]: [usize; 3]) -> Structure
     }
 }
 
+/// Of all fields.
+fn counts(fields: &[&Field]) -> Counts {
+    let count = |among: &dyn Fn(&Field) -> bool| fields.iter().filter(|f| among(f)).count();
+    let beyond = |f: &Field| f.truth_um > LIMIT_UM;
+    let is = |f: &Field, word| f.found.verdict == word;
+    let claims = |f: &Field| f.found.at_least_um.is_some() || f.found.u95_um.is_some();
+    Counts {
+        beyond: count(&beyond),
+        beyond_go: count(&|f| beyond(f) && is(f, Word::Go)),
+        beyond_indeterminate: count(&|f| beyond(f) && is(f, Word::Indeterminate)),
+        sound: count(&|f| f.truth_um < WARN_UM),
+        sound_go: count(&|f| f.truth_um < WARN_UM && is(f, Word::Go)),
+        claims: count(&claims),
+        claims_missed: count(&|f| !f.holds()),
+    }
+}
+
 /// Captures the chart; writes `resolution.md` and `resolution.svg`.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let charts = [(surface_word(args.surface), measure(args)?)];
     write_whole(&args.out.join("resolution.svg"), draw(&charts)?.as_bytes())?;
-    let page = page(&charts, args)?;
+    let fields: Vec<&Field> = charts.iter().flat_map(|(_, fields)| fields).collect();
+    let page = page(&charts, args)? + "\n" + &runs::append(args, counts(&fields))?;
     write_whole(&args.out.join("resolution.md"), page.as_bytes())?;
     Ok(())
 }

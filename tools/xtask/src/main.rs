@@ -8,6 +8,7 @@ mod firmware;
 mod fleet;
 mod licences;
 mod light;
+mod pages;
 mod prerequisites;
 mod python;
 mod scan_study;
@@ -35,13 +36,15 @@ cargo xtask COMMAND
   light [VENV]           the bench's light beside that of another renderer (Mitsuba), which renders the die anew: 5 minutes;
                          without VENV its packages go into an environment of their own below target
   bench --checks N       N in-situ checks of one tooth: how long the press waits after the last exposure
-  study [--blocks N --captures N --seed S --only TEXT --head NAME --surface KIND --patterns SET]
+  study --why TEXT [--blocks N --captures N --only TEXT --head NAME --surface KIND --patterns SET --seed S]
                          how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel and of
                          another head in folders of their own there (--surface ground, polished, oiled; --head 10mm, or a file)
-  study resolution|families [--blocks N --captures N --seed S]
+  study resolution|families --why TEXT [--blocks N --captures N --seed S]
                          the smallest openings that are seen (docs/study/resolution.md); how often dies of families drawn at
-                         random are passed, N heads and N dies before each (docs/study/families.md)
+                         random are passed, N heads and N dies before each (docs/study/families.md). Of any of them: what is drawn follows
+                         from the commit, a tree with changes is refused, every run is appended to docs/study/log.csv
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
+  pages [--release]      how many commits of their code the pages with figures lack; --release: fails where these are too many
   campaign [--mutants N | --seconds S | --kills N] [--seed S]
                          mutants of every file that the instrument reads, 100 000 unless said otherwise; or kills of a check
                          in each of its phases
@@ -76,6 +79,8 @@ fn main() -> ExitCode {
         ["campaign", rest @ ..] => campaign(rest),
         ["light"] => light::run(&root(), None),
         ["light", environment] => light::run(&root(), Some(environment)),
+        ["pages"] => pages::check(&root(), false),
+        ["pages", "--release"] => pages::check(&root(), true),
         ["deny"] => deny(),
         ["sbom"] => sbom(&root()),
         ["demo"] => demo(),
@@ -305,6 +310,12 @@ fn study(rest: &[&str]) -> Result<(), String> {
         let name = Path::new(other).file_stem().unwrap_or_default();
         out = format!("{out}/{}", name.to_string_lossy());
     }
+    let commit = commit();
+    if commit.len() != 40 {
+        return Err(format!(
+            "the study's draws follow from a commit, and every run is logged with it; here is \"{commit}\": commit first"
+        ));
+    }
     let study = [
         "run",
         "--release",
@@ -314,7 +325,9 @@ fn study(rest: &[&str]) -> Result<(), String> {
         "--out",
         &out,
         "--commit",
-        &commit(),
+        &commit,
+        "--log",
+        "docs/study/log.csv",
     ];
     run(cargo(&[&study[..], rest].concat()))
 }
@@ -345,6 +358,7 @@ fn ci() -> Result<(), String> {
     lint()?;
     doc()?;
     dependencies(&root())?;
+    pages::check(&root(), false)?;
     campaign(&["--seconds", "60"])?;
     firmware::qemu(&root())
 }
