@@ -87,9 +87,10 @@ class Session:
 
     async def certificate(self, name):
         key, certificate = (self.folder / f"{name}.{end}" for end in ("key.pem", "der"))
-        await setup_self_signed_certificate(
-            key, certificate, f"urn:client:{name}", "localhost", [ExtendedKeyUsageOID.CLIENT_AUTH], {"commonName": name}
-        )
+        for file in (key, certificate):
+            file.unlink(missing_ok=True)
+        uri = f"urn:client:{name}"
+        await setup_self_signed_certificate(key, certificate, uri, "localhost", [ExtendedKeyUsageOID.CLIENT_AUTH], {})
         return str(certificate)
 
     async def connected(self, url, user, password, certificate=None, policy=None, mode="SignAndEncrypt"):

@@ -115,7 +115,7 @@ impl Station {
         let files = files.into_iter().flatten().flatten();
         let named = |file: &PathBuf| {
             let name = file.file_name().unwrap_or_default().to_string_lossy();
-            name.starts_with(&format!("{client} ["))
+            name.starts_with(&format!("CN=urn:client:{client} ["))
         };
         files.map(|file| file.path()).find(named)
     }
@@ -336,8 +336,6 @@ fn everything_is_browsed_read_and_decoded() {
     press.check("die", 41, Word::Indeterminate);
     let _plant = station.plant(3600);
     let mut client = station.viewer("browser");
-    let all = client.browse_until(&tool("die", "Latest"));
-    drop(all);
     let all = client.browse_until(&tool(strange, "Verdict"));
     let at = |path: &str| {
         let node = &all[path];
@@ -626,12 +624,14 @@ fn who_may_acknowledges_with_name_and_reason() {
     station.trust(&mut anna);
     anna.connect(&station.anna, "Anna", SECURE).unwrap();
     anna.browse_until(&tool("other", "Acknowledge"));
-    let long = "x".repeat(100_000);
+    let [long, endless] = [201, 100_000].map(|length| "x".repeat(length));
     for (name, number, reason, why) in [
         ("die", 1, "", "BadInvalidArgument"),
         ("die", 1, "   ", "BadInvalidArgument"),
         ("die", 1, "two\nlines", "BadInvalidArgument"),
         ("die", 1, long.as_str(), "BadInvalidArgument"),
+        // Longer than the server takes any text.
+        ("die", 1, endless.as_str(), "BadDecodingError"),
         // Of another tool, of another check, of none.
         ("die", 2, "looked", "BadNotFound"),
         ("other", 1, "looked", "BadNotFound"),
