@@ -15,6 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from asyncua import Client, ua
+from asyncua.common.events import get_filter_from_event_type
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from asyncua.crypto.security_policies import (
     SecurityPolicyAes256Sha256RsaPss,
@@ -65,6 +66,9 @@ class Handler:
         self.paths = paths
 
     def datachange_notification(self, node, value, data):
+        if node.nodeid not in self.paths:
+            # The server's library begins also those of events with "waiting for data".
+            return
         code = data.monitored_item.Value.StatusCode
         say(change=self.paths[node.nodeid], value=plain(value), status=status(code))
 
@@ -179,17 +183,25 @@ class Session:
     async def types(self):
         return sorted(await self.client.load_data_type_definitions())
 
-    async def subscribe(self, paths, events=None):
-        """Values of these paths, and events of a node: the server itself or one of the paths."""
+    async def subscribe(self, paths, events=None, of_status=False):
+        """Values of these paths, on request also when their status alone changes, and events of a node: the server itself or one of
+        the paths."""
         by_node = {self.nodes[path][0].nodeid: path for path in paths}
         subscription = await self.client.create_subscription(100, Handler(by_node))
-        if paths:
-            await subscription.subscribe_data_change([self.nodes[path][0] for path in paths])
+        changes = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValue) if of_status else None
+        for path in paths:
+            await subscription._subscribe(self.nodes[path][0], mfilter=changes)
         if events is not None:
             index = await self.client.get_namespace_index(NAMESPACE)
             kind = self.client.get_node(ua.NodeId(1001, index))
             source = self.client.nodes.server if events == "Server" else self.nodes[events][0]
-            await subscription.subscribe_events(source, kind)
+            # By its type: the server's library compares no node identifiers, with which this client would list types. And with a
+            # queue: for that library none asked for means one event.
+            chosen = await get_filter_from_event_type([kind], where_clause_generation=False)
+            of_type = ua.ContentFilterElement(FilterOperator=ua.FilterOperator.OfType)
+            of_type.FilterOperands.append(ua.LiteralOperand(Value=ua.Variant(kind.nodeid)))
+            chosen.WhereClause.Elements.append(of_type)
+            await subscription.subscribe_events(source, kind, evfilter=chosen, queuesize=100)
 
     async def call(self, path, arguments):
         method, _ = self.nodes[path]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use opcua::nodes::{EventNotifier, MethodBuilder, ObjectBuilder, VariableBuilder};
+use opcua::nodes::{EventNotifier, MethodBuilder, NodeType, ObjectBuilder, VariableBuilder};
 use opcua::server::SubscriptionCache;
 use opcua::server::address_space::AddressSpace;
 use opcua::server::diagnostics::NamespaceMetadata;
@@ -247,6 +247,12 @@ fn insert(space: &mut AddressSpace, names: Names, node: &Node) {
                 .value_rank(-1)
                 .has_type_definition(*type_definition)
                 .insert(space);
+            // At once: somebody may read it before subscribers are told.
+            if let (Some(NodeType::Variable(variable)), Some(value)) =
+                (space.find_mut(&node.id), node.data_value())
+            {
+                variable.set_data_value(value);
+            }
         }
         Kind::Acknowledge { .. } => {
             let argument = |name: &str, data_type: DataTypeId, description: &str| Argument {

@@ -9,7 +9,7 @@ use flankscope_record::seal::Seals;
 use jiff::Timestamp;
 use opcua::nodes::Event;
 use opcua::server::ServerHandle;
-use opcua::types::{NodeId, ObjectId, StatusCode};
+use opcua::types::{NodeId, StatusCode};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
@@ -162,17 +162,13 @@ impl Publisher {
             let check_id = id(next)?;
             let names = self.manager.inner().names;
             let tool = space::tool_id(names, &check.tool);
-            let station = space::station_id(names, &check.origin.station);
             let types = Types {
                 namespace: names.own,
             };
             let event = CheckEvent::new(types, &check, &check_id, &tool);
-            let server = NodeId::from(ObjectId::Server);
-            let event: &dyn Event = &event;
-            let notified = [&server, &station, &tool].map(|node| (event, node));
-            self.handle
-                .subscriptions()
-                .notify_events(notified.into_iter());
+            // Told of a tool, the server tells it itself, too.
+            let told: [(&dyn Event, &NodeId); 1] = [(&event, &tool)];
+            self.handle.subscriptions().notify_events(told.into_iter());
             number = next;
             self.told = Some((next, check_id));
         }

@@ -116,7 +116,8 @@ impl Node {
         };
         let now = DateTime::now();
         Some(DataValue {
-            value: (*value != Variant::Empty).then(|| value.clone()),
+            // Without a value, not even an empty one, the server would leave out the status, which then reads as good.
+            value: Some(value.clone()),
             status: Some(*status),
             source_timestamp: Some(source_time.unwrap_or(now)),
             source_picoseconds: None,
@@ -321,7 +322,7 @@ impl Nodes {
         let machines = machines(self.names);
         let place = (&machines, ReferenceTypeId::Organizes);
         let base = ObjectTypeId::BaseObjectType;
-        self.object(&id, place, (self.names.own, station), base, true);
+        self.object(&id, place, (self.names.own, station), base, false);
         let identification = self.child(&id, "Identification");
         let place = (&id, ReferenceTypeId::HasAddIn);
         let name = (self.names.devices, "Identification");
