@@ -6,6 +6,7 @@ mod deps;
 mod elf;
 mod firmware;
 mod fleet;
+mod licences;
 mod light;
 mod prerequisites;
 mod python;
@@ -20,7 +21,7 @@ cargo xtask COMMAND
 
   test [--all]           every test that this machine can run, and the arrows between the rooms; says what it could not run
                          and how to get it; --all: fails instead, and runs the long campaigns
-  deps                   the arrows between the rooms: who may depend on whom
+  deps                   the arrows between the rooms: who may depend on whom; licences and sources of other people's crates
   python                 the Python package: installed by pip into an environment below target, its tests, its examples, its types
   fleet [--all]          the fleet's program, a workspace of its own: rustfmt, clippy, its tests; other readers of Parquet and a
                          server that speaks S3 by pip in an environment below target; --all: 200 kills instead of 60
@@ -44,7 +45,8 @@ cargo xtask COMMAND
   campaign [--mutants N | --seconds S | --kills N] [--seed S]
                          mutants of every file that the instrument reads, 100 000 unless said otherwise; or kills of a check
                          in each of its phases
-  deny                   licences, sources and advisories of what is linked: cargo-deny with deny.toml
+  deny                   advisories, licences and sources of what is linked, by cargo-deny and deny.toml; needs the internet
+  sbom                   what each crate is made of, transitively: CycloneDX files in target/sbom, by cargo-cyclonedx
   ci                     all of it, in the order of .ci/run
 ";
 
@@ -54,7 +56,7 @@ fn main() -> ExitCode {
     let result = match words.as_slice() {
         ["test"] => test(false),
         ["test", "--all"] => test(true),
-        ["deps"] => arrows(&root()),
+        ["deps"] => dependencies(&root()),
         ["python"] => python::run_all(&root()),
         ["fleet"] => fleet::run_all(&root(), false),
         ["fleet", "--all"] => fleet::run_all(&root(), true),
@@ -75,6 +77,7 @@ fn main() -> ExitCode {
         ["light"] => light::run(&root(), None),
         ["light", environment] => light::run(&root(), Some(environment)),
         ["deny"] => deny(),
+        ["sbom"] => sbom(&root()),
         ["demo"] => demo(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
@@ -109,6 +112,15 @@ const INTERLEAVINGS: &[&str] = &[
     "shuttle",
     "--test",
     "interleavings",
+];
+
+/// The workspaces with programs that are installed or flashed.
+const SHIPPED: [&str; 5] = [
+    ".",
+    fleet::FLEET,
+    PYTHON,
+    "firmware/mps2-an386",
+    "firmware/nucleo-h743zi",
 ];
 
 /// Where cargo builds.
@@ -165,9 +177,9 @@ fn test(all: bool) -> Result<(), String> {
 }
 
 /// Tests what a press gets, where there is no bench. Its dependencies are built once more, so nothing is optimised: only help and
-/// command lines are looked at.
+/// command lines are looked at. Code that only a bench uses would be a warning here, and is an error.
 fn deployment() -> Result<(), String> {
-    run(cargo(&[
+    let mut test = cargo(&[
         "test",
         "-p",
         "flankscope",
@@ -175,7 +187,9 @@ fn deployment() -> Result<(), String> {
         "--bins",
         "--config",
         "profile.dev.opt-level=0",
-    ]))
+    ]);
+    test.env("RUSTFLAGS", "-D warnings");
+    run(test)
 }
 
 /// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that
@@ -221,17 +235,7 @@ fn lint() -> Result<(), String> {
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
     let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
-    run(cargo(&interleavings))?;
-    // What a deployment builds: no bench.
-    run(cargo(&[
-        "clippy",
-        "-p",
-        "flankscope",
-        "--no-default-features",
-        "--",
-        "-D",
-        "warnings",
-    ]))
+    run(cargo(&interleavings))
 }
 
 fn doc() -> Result<(), String> {
@@ -270,6 +274,30 @@ fn deny() -> Result<(), String> {
     run(cargo(&["deny", "check"])).map_err(|error| {
         format!("{error}; cargo-deny comes with `cargo install --locked cargo-deny`, its advisories from the RustSec database")
     })
+}
+
+/// What every crate is made of. The tool writes beside each manifest; what it wrote is moved below target.
+fn sbom(root: &Path) -> Result<(), String> {
+    let folder = target().join("sbom");
+    let shown = |error: std::io::Error| format!("{}: {error}", folder.display());
+    std::fs::create_dir_all(&folder).map_err(shown)?;
+    for room in SHIPPED {
+        let mut cyclonedx = cargo(&["cyclonedx", "--format", "json", "--all-features"]);
+        cyclonedx.current_dir(root.join(room));
+        run(cyclonedx).map_err(|error| {
+            format!("{error}; it comes with `cargo install --locked cargo-cyclonedx`")
+        })?;
+    }
+    for room in deps::crates(root)? {
+        for entry in std::fs::read_dir(root.join(room)).map_err(shown)?.flatten() {
+            let name = entry.file_name();
+            if name.to_string_lossy().ends_with(".cdx.json") {
+                std::fs::rename(entry.path(), folder.join(name)).map_err(shown)?;
+            }
+        }
+    }
+    eprintln!("bills of materials in {}", folder.display());
+    Ok(())
 }
 
 fn study(rest: &[&str]) -> Result<(), String> {
@@ -319,7 +347,7 @@ fn ci() -> Result<(), String> {
     test(true)?;
     lint()?;
     doc()?;
-    arrows(&root())?;
+    dependencies(&root())?;
     campaign(&["--seconds", "60"])?;
     firmware::qemu(&root())
 }
@@ -343,4 +371,10 @@ fn run(mut command: Command) -> Result<(), String> {
 fn arrows(root: &Path) -> Result<(), String> {
     deps::check(root)?;
     circles::check(root, &deps::crates(root)?)
+}
+
+/// What may be linked: the arrows, then licences and sources of other people's crates.
+fn dependencies(root: &Path) -> Result<(), String> {
+    arrows(root)?;
+    licences::check(root)
 }
