@@ -510,7 +510,7 @@ fn a_check_is_a_change_and_one_event_and_what_is_not_known_is_not_good() {
     // Too old: the check's evaluation is uncertain, and the no-go stands nevertheless.
     client.until(|line| {
         line["change"] == tool("die", "Results|Latest|ResultEvaluation").as_str()
-            && line["status"] == "UncertainLastUsableValue"
+            && (&line["value"], &line["status"]) == (&json!(2), &json!("UncertainLastUsableValue"))
     });
     assert_eq!(
         client.read(&tool("die", "Verdict")),
