@@ -150,6 +150,12 @@ impl Users {
         }
         found
     }
+
+    /// The person or program of this name.
+    #[cfg(feature = "opcua")]
+    pub fn named(&self, name: &str) -> Option<&User> {
+        self.user.iter().find(|user| user.name == name)
+    }
 }
 
 /// Refuses a file of secrets that others can read or write.

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `settings` | `plant.toml` |
 //! | `access` | who may see the page: names and hashes of their tokens |
+//! | `acknowledge` | clearing a no-go, with name and reason |
 //! | `history` | the history's file, kept open |
 //! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
@@ -15,8 +16,10 @@
 //! | `metrics` | Prometheus' text |
 //! | `modbus` | registers for a line controller |
 //! | `mqtt` | messages to a broker, behind a feature |
+//! | `opcua` | an OPC UA server, behind a feature |
 
 mod access;
+mod acknowledge;
 mod demo_line;
 mod follow;
 mod history;
@@ -26,6 +29,8 @@ mod metrics;
 mod modbus;
 #[cfg(feature = "mqtt")]
 mod mqtt;
+#[cfg(feature = "opcua")]
+mod opcua;
 mod page;
 mod settings;
 mod standing;
@@ -39,6 +44,9 @@ use clap::{Parser, Subcommand};
 use flankscope_record::seal::Seals;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use access::{Role, Users};
 use demo_line::DemoLine;
@@ -80,9 +88,15 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    // The OPC UA library tells of every connection.
+    let levels = Targets::new()
+        .with_default(LevelFilter::INFO)
+        .with_target("opcua_", LevelFilter::WARN);
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
         .with_target(false)
+        .finish()
+        .with(levels)
         .init();
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
@@ -151,9 +165,18 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         }
         #[cfg(feature = "mqtt")]
         if let Some(of) = &settings.mqtt {
-            let sender = mqtt::Sender::new(settings, of, seals, standing)?;
+            let sender = mqtt::Sender::new(settings, of, seals.clone(), standing.clone())?;
             println!("mqtt     {}", of.broker);
             tasks.spawn(sender.run());
+        }
+        #[cfg(feature = "opcua")]
+        if let Some(of) = &settings.opcua {
+            let server = opcua::OpcuaServer::new(settings, of, seals, standing)?;
+            let listener = TcpListener::bind(of.listen)
+                .await
+                .with_context(|| format!("[opcua] listen = \"{}\"", of.listen))?;
+            println!("opcua    opc.tcp://{}/", listener.local_addr()?);
+            tasks.spawn(server.run(listener));
         }
         tokio::select! {
             ended = tasks.join_next() => match ended {

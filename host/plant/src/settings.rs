@@ -23,6 +23,7 @@ pub struct Settings {
     pub page: Option<PageSettings>,
     pub modbus: Option<ModbusSettings>,
     pub mqtt: Option<MqttSettings>,
+    pub opcua: Option<OpcuaSettings>,
 }
 
 /// The page, and the metrics beside it.
@@ -62,6 +63,21 @@ pub struct MqttSettings {
     pub delivered: PathBuf,
     #[serde(default)]
     pub version: MqttVersion,
+}
+
+/// A server of results for line controllers and plant systems.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+// Without the feature they are read in order to be refused.
+#[cfg_attr(not(feature = "opcua"), expect(dead_code))]
+pub struct OpcuaSettings {
+    pub listen: SocketAddr,
+    /// Name under which clients reach this machine; its own certificate carries it.
+    pub name: Option<String>,
+    /// Names and hashes of tokens, written by `flankscope-plant token`.
+    pub users: PathBuf,
+    /// Folder with its own certificate and key and with the clients' certificates that are trusted.
+    pub certificates: PathBuf,
 }
 
 /// Version of MQTT.
@@ -150,25 +166,37 @@ impl Settings {
             mqtt.login = mqtt.login.as_ref().map(|login| folder.join(login));
             mqtt.delivered = folder.join(&mqtt.delivered);
         }
+        if let Some(opcua) = &mut settings.opcua {
+            opcua.users = folder.join(&opcua.users);
+            opcua.certificates = folder.join(&opcua.certificates);
+        }
         Ok(settings)
     }
 
     fn check(&self) -> Result<(), BadValue> {
         let listen = self.page.as_ref().map(|page| page.listen);
         let is_private = listen.is_none_or(|listen| listen.ip().is_loopback());
-        let listens = self.page.is_some() || self.modbus.is_some() || self.mqtt.is_some();
+        let listens = self.page.is_some()
+            || self.modbus.is_some()
+            || self.mqtt.is_some()
+            || self.opcua.is_some();
         let mqtt = self.mqtt.as_ref();
         let broker = mqtt.map(|mqtt| &mqtt.broker);
         let is_tls = mqtt.is_none_or(|mqtt| mqtt.ca.is_some() || mqtt.broker.is_loopback());
         let name = mqtt.map(|mqtt| mqtt.name.as_str());
         let group = mqtt.and_then(|mqtt| mqtt.group.as_deref());
+        let opcua = self.opcua.as_ref();
+        let opcua_listen = opcua.map(|opcua| opcua.listen);
+        let opcua_name = opcua.and_then(|opcua| opcua.name.as_deref());
+        let is_reached =
+            opcua.is_none_or(|opcua| opcua.name.is_some() || !opcua.listen.ip().is_unspecified());
         let stale = self.stale_after_s;
         textfile::require(&[
             (
                 listens,
                 "page",
                 &listen,
-                "without [page], [modbus] and [mqtt] nothing would listen or be sent; `flankscope-plant example` prints a complete file",
+                "without [page], [modbus], [mqtt] and [opcua] nothing would listen or be sent; `flankscope-plant example` prints a complete file",
             ),
             (
                 (1..=MOST_STALE_S).contains(&stale),
@@ -206,6 +234,24 @@ impl Settings {
                 group.is_none_or(is_topic_word),
                 "mqtt.group",
                 &group,
+                TOPIC_WORD,
+            ),
+            (
+                opcua.is_none() || cfg!(feature = "opcua"),
+                "opcua",
+                &opcua_listen,
+                "this program was built without OPC UA: cargo install --path host/plant --features opcua",
+            ),
+            (
+                is_reached,
+                "opcua.listen",
+                &opcua_listen,
+                "it stands for all addresses of this machine: name the one by which clients reach it in `name`",
+            ),
+            (
+                opcua_name.is_none_or(is_topic_word),
+                "opcua.name",
+                &opcua_name,
                 TOPIC_WORD,
             ),
         ])

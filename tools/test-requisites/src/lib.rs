@@ -12,6 +12,9 @@ pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
 /// Where [`mqtt_peers`] looks, from the repository.
 pub const MQTT_CLIENTS: &str = "target/mqtt-clients/bin/python";
 
+/// Where [`opcua_clients`] looks, from the repository.
+pub const OPCUA_CLIENTS: &str = "target/opcua-clients/bin/python";
+
 /// Where [`lake_readers`] looks, from the repository.
 pub const LAKE_READERS: &str = "target/lake-readers/bin/python";
 
@@ -229,6 +232,19 @@ pub fn mqtt_peers() -> Option<(PathBuf, PathBuf)> {
         (_, false) => format!("{MQTT_CLIENTS} (tools/peers/README.md)"),
     };
     missed(&missing).and(None)
+}
+
+/// Python with other people's OPC UA client.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn opcua_clients() -> Option<PathBuf> {
+    let python = workspace().join(OPCUA_CLIENTS);
+    match python.is_file() {
+        true => Some(python),
+        false => missed(&format!("{OPCUA_CLIENTS} (tools/peers/README.md)")),
+    }
 }
 
 /// Python with other people's readers of Parquet, and a server that speaks S3.

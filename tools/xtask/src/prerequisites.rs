@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use flankscope_test_requisites::{
-    BROWSERS, MOSQUITTO, MQTT_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis, on_path,
+    BROWSERS, MOSQUITTO, MQTT_CLIENTS, OPCUA_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis,
+    on_path,
 };
 
 use crate::{firmware, python};
@@ -98,6 +99,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the plant's messages read by other people's MQTT and Sparkplug B clients (paho, pysparkplug)",
             needs: MQTT_CLIENTS,
             how: "python3 -m venv target/mqtt-clients && target/mqtt-clients/bin/pip install --no-deps -r tools/peers/mqtt-clients.txt",
+        });
+    }
+    if !root.join(OPCUA_CLIENTS).is_file() {
+        missing.push(Missing {
+            what: "the plant's OPC UA server asked by another's client (asyncua)",
+            needs: OPCUA_CLIENTS,
+            how: "python3 -m venv target/opcua-clients && target/opcua-clients/bin/pip install --no-deps -r tools/peers/opcua-clients.txt",
         });
     }
     missing

@@ -24,7 +24,6 @@ use axum::middleware;
 use axum::response::sse::{Event, Sse};
 use axum::response::{Html, IntoResponse, Redirect, Response};
 use axum::routing::{get, post};
-use flankscope_foundation::display::is_command;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::history::{Forecast, History, HistoryError, series};
 use flankscope_record::seal::Seals;
@@ -37,6 +36,7 @@ use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
 use crate::access::{Role, User, Users};
+use crate::acknowledge::{Acknowledging, MOST_REASON, Refused};
 use crate::history::HistoryFile;
 use crate::live::Live;
 use crate::metrics;
@@ -48,8 +48,6 @@ use views::{Board, CheckPage, List};
 
 /// Checks on one page of the list.
 const LISTED: u32 = 50;
-/// Longest reason of an acknowledgement, characters.
-const MOST_REASON: usize = 200;
 /// Largest body of a request, bytes: a token, or a reason.
 const MOST_BODY: usize = 4096;
 /// How often a page hears that its connection stands; its verdicts grey out after three times that.
@@ -63,9 +61,7 @@ pub struct Site {
     reports: Option<PathBuf>,
     standing: watch::Receiver<Arc<Standing>>,
     live: watch::Receiver<Live>,
-    /// The history, for acknowledgements.
-    path: PathBuf,
-    seals: Seals,
+    acknowledging: Acknowledging,
     /// For what is asked; the thread that follows the history has one of its own and is not held up.
     history: Mutex<HistoryFile>,
 }
@@ -85,8 +81,10 @@ impl Site {
             reports: settings.reports.clone(),
             standing,
             live,
-            path: settings.history.clone(),
-            seals: seals.clone(),
+            acknowledging: Acknowledging {
+                history: settings.history.clone(),
+                seals: seals.clone(),
+            },
             history: Mutex::new(HistoryFile::new(&settings.history, seals)),
         }
     }
@@ -129,6 +127,17 @@ impl From<HistoryError> for Failed {
         match error {
             HistoryError::NoSuchCheck { .. } => Self::NotThere,
             error => Self::Because(error.to_string()),
+        }
+    }
+}
+
+impl From<Refused> for Failed {
+    fn from(refused: Refused) -> Self {
+        match refused {
+            Refused::NotAllowed(_) => Self::NotAllowed,
+            Refused::NoReason => Self::NoReason,
+            Refused::NotStanding(check) => Self::NotStanding(check),
+            Refused::History(error) => error.into(),
         }
     }
 }
@@ -215,30 +224,10 @@ async fn acknowledge(
     Extension(user): Extension<User>,
     Form(said): Form<Acknowledged>,
 ) -> Result<Redirect, Failed> {
-    if user.role != Role::Acknowledge {
-        return Err(Failed::NotAllowed);
-    }
-    let reason = said.reason.trim().to_owned();
-    if reason.is_empty() || reason.chars().count() > MOST_REASON || reason.contains(is_command) {
-        return Err(Failed::NoReason);
-    }
-    let who = format!("{}: {reason}", user.name);
-    let shared = Arc::clone(&site);
-    let stored = tokio::task::spawn_blocking(move || {
-        let mut history = History::open(&shared.path, &shared.seals)?;
-        let no_gos = history.standing_no_gos()?;
-        let Some(no_go) = no_gos.into_iter().find(|no_go| no_go.check == said.check) else {
-            return Ok(false);
-        };
-        history.acknowledge(&no_go.die, &who).map(|()| true)
-    });
-    match stored.await?? {
-        true => {
-            tracing::info!("{} acknowledged check {}: {reason}", user.name, said.check);
-            Ok(Redirect::to("/"))
-        }
-        false => Err(Failed::NotStanding(said.check)),
-    }
+    let acknowledging = site.acknowledging.clone();
+    let stored = move || acknowledging.store(&user, said.check, None, &said.reason);
+    tokio::task::spawn_blocking(stored).await??;
+    Ok(Redirect::to("/"))
 }
 
 type Shown = Result<Html<String>, Failed>;

@@ -1,0 +1,182 @@
+//! Follows what stands: shows it, and says once of every check that it was stored.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use flankscope_record::history::HistoryError;
+use flankscope_record::seal::Seals;
+use jiff::Timestamp;
+use opcua::nodes::Event;
+use opcua::server::ServerHandle;
+use opcua::types::{NodeId, StatusCode};
+use tokio::sync::watch;
+use tokio::time::timeout;
+
+use super::events::CheckEvent;
+use super::nodes::{Manager, Shown, show};
+use super::space::{self, Node};
+use super::types::Types;
+use crate::history::{HistoryFile, id_of};
+use crate::standing::{Standing, ToolStanding};
+
+/// How often it looks whether a verdict grew too old.
+const EVERY: Duration = Duration::from_millis(500);
+/// Checks of which it says at a time that they were stored.
+const EVENTS_AT_A_TIME: usize = 50;
+/// How good the server's data is, as OPC UA's redundancy counts it: all is there, or none.
+const SERVICE: u8 = 255;
+const NO_SERVICE: u8 = 1;
+
+/// Shows what stands.
+pub struct Publisher {
+    manager: Arc<Manager>,
+    handle: ServerHandle,
+    history: HistoryFile,
+    shown: Shown,
+    /// Nodes of the tools as they were shown last.
+    tools: Vec<Node>,
+    /// Number and identifier of the last check of which an event told, or that was there before this server.
+    told: Option<(i64, String)>,
+    service: u8,
+}
+
+impl Publisher {
+    /// Shows nothing yet.
+    pub fn new(
+        manager: Arc<Manager>,
+        handle: ServerHandle,
+        (history, seals): (&PathBuf, &Seals),
+    ) -> Self {
+        Self {
+            manager,
+            handle,
+            history: HistoryFile::new(history, seals.clone()),
+            shown: Shown::new(),
+            tools: Vec::new(),
+            told: None,
+            service: SERVICE,
+        }
+    }
+
+    /// Shows what stands until the process ends.
+    pub async fn run(mut self, mut standing: watch::Receiver<Arc<Standing>>) -> anyhow::Result<()> {
+        loop {
+            let now = Arc::clone(&standing.borrow_and_update());
+            // It reads the history's file.
+            self = tokio::task::spawn_blocking(move || self.published(&now)).await??;
+            // A verdict also grows too old without a change.
+            if let Ok(changed) = timeout(EVERY, standing.changed()).await {
+                changed?;
+            }
+        }
+    }
+
+    fn published(mut self, standing: &Standing) -> Result<Self, StatusError> {
+        let names = self.manager.inner().names;
+        let mut nodes = space::own(names, standing);
+        if standing.fault.is_none() {
+            let ids = self.result_ids(standing);
+            let id_of = |tool: &ToolStanding| {
+                let mut ids = ids.iter();
+                ids.find(|(number, _)| *number == tool.last.id)
+                    .map(|(_, id)| id.clone())
+            };
+            self.tools = space::nodes(names, standing, Timestamp::now(), &id_of);
+        } else {
+            self.tools = self.tools.iter().map(Node::unknown).collect();
+        }
+        nodes.extend(self.tools.iter().cloned());
+        let subscriptions = Arc::clone(self.handle.subscriptions());
+        show(&self.manager, &subscriptions, &mut self.shown, nodes).map_err(StatusError)?;
+        let service = match standing.fault {
+            Some(_) => NO_SERVICE,
+            None => SERVICE,
+        };
+        if service != self.service {
+            self.service = service;
+            self.handle.set_service_level(service);
+        }
+        if standing.fault.is_none() {
+            self.tell().unwrap_or_else(|error| {
+                tracing::warn!("opcua: {error}");
+                self.history.close();
+            });
+        }
+        Ok(self)
+    }
+
+    /// Identifiers of the tools' last checks by their numbers; of those that can be read.
+    fn result_ids(&mut self, standing: &Standing) -> Vec<(i64, String)> {
+        let read = |file: &mut HistoryFile| -> Result<Vec<(i64, String)>, HistoryError> {
+            let (history, _) = file.verified()?;
+            let mut ids = Vec::new();
+            for tool in &standing.tools {
+                let number = tool.last.id;
+                ids.push((number, id_of(&tool.last, &history.document(number)?)));
+            }
+            Ok(ids)
+        };
+        read(&mut self.history).unwrap_or_else(|error| {
+            tracing::warn!("opcua: {error}");
+            self.history.close();
+            Vec::new()
+        })
+    }
+
+    /// Tells subscribers of the checks that were stored since the last time.
+    fn tell(&mut self) -> Result<(), HistoryError> {
+        let (history, _) = self.history.verified()?;
+        let id = |number: i64| -> Result<String, HistoryError> {
+            Ok(id_of(&history.check(number)?, &history.document(number)?))
+        };
+        let newest = || -> Result<(i64, String), HistoryError> {
+            match history.listed(None, None, None, 1)?.pop() {
+                Some(check) => Ok((check.id, id(check.id)?)),
+                None => Ok((0, String::new())),
+            }
+        };
+        let Some((told, told_id)) = &self.told else {
+            self.told = Some(newest()?);
+            return Ok(());
+        };
+        let is_same = match *told {
+            0 => true,
+            number => match id(number) {
+                Ok(id) => id == *told_id,
+                Err(HistoryError::NoSuchCheck { .. }) => false,
+                Err(error) => return Err(error),
+            },
+        };
+        if !is_same {
+            tracing::warn!("opcua: another history stands in its place; its checks are no news");
+            self.told = Some(newest()?);
+            return Ok(());
+        }
+        let mut number = *told;
+        for _ in 0..EVENTS_AT_A_TIME {
+            let Some(next) = history.next_after(number)? else {
+                break;
+            };
+            let check = history.check(next)?;
+            let check_id = id(next)?;
+            let names = self.manager.inner().names;
+            let tool = space::tool_id(names, &check.tool);
+            let types = Types {
+                namespace: names.own,
+            };
+            let event = CheckEvent::new(types, &check, &check_id, &tool);
+            // Told of a tool, the server tells it itself, too.
+            let told: [(&dyn Event, &NodeId); 1] = [(&event, &tool)];
+            self.handle.subscriptions().notify_events(told.into_iter());
+            number = next;
+            self.told = Some((next, check_id));
+        }
+        Ok(())
+    }
+}
+
+/// The server refused a node.
+#[derive(Debug, thiserror::Error)]
+#[error("a value cannot be shown: {0}")]
+struct StatusError(StatusCode);
