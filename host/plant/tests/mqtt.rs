@@ -2,14 +2,16 @@
 //! whatever breaks.
 
 mod broker;
+mod press;
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::process::Command;
 use std::time::Duration;
 
-use broker::{Cable, Press, Station, wait_for};
+use broker::{Cable, Station, wait_for};
 use flankscope_metrology::verdict::Word;
+use press::Press;
 use serde_json::{Value, json};
 
 const TOOL: &str = "demo die";
