@@ -9,6 +9,8 @@
 //! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
 //! | `standing` | what stands for every tool: last verdict, its age, whether it counts |
+//! | `export` | files of a period for metrologists |
+//! | `percent` | percent encoding |
 //! | `live` | what a watch does now, from its socket |
 //! | `listener` | connections: how many, and how long their headers may take |
 //! | `page` | routes of the page |
@@ -18,6 +20,7 @@
 
 mod access;
 mod demo_line;
+mod export;
 mod follow;
 mod history;
 mod listener;
@@ -27,6 +30,7 @@ mod modbus;
 #[cfg(feature = "mqtt")]
 mod mqtt;
 mod page;
+mod percent;
 mod settings;
 mod standing;
 
@@ -64,6 +68,14 @@ enum Command {
     },
     /// Show a simulated line: a press whose die wears, a watch over it, and the page; ends with Ctrl-C and leaves nothing
     DemoLine,
+    /// Write the checks of a period as files for metrologists' programs
+    ///
+    /// A history that was changed by others than the instrument is refused. A file that is there already is replaced by the same
+    /// bytes. Lengths are millimetres in QIF and DFQ, micrometres in tables; times are UTC.
+    #[command(
+        after_help = "Example: flankscope-plant export press.db files --as qif,dfq,csv --since 2026-11-01 --until 2026-11-30"
+    )]
+    Export(export::Args),
     /// Write an example of the settings file to standard output
     Example,
     /// Give a person or a program a token for the page; it is printed once, the file keeps its hash
@@ -102,6 +114,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
             println!("token    {token}");
             println!("folder   {}", line.folder().display());
             serve(&settings)
+        }
+        Command::Export(args) => {
+            let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder))?;
+            export::run(args, &seals)
         }
         Command::Example => {
             print!("{}", settings::EXAMPLE);

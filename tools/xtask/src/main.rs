@@ -184,9 +184,12 @@ fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
         true => &[
             "--features",
-            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt",
+            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/parquet",
         ],
-        false => &["--features", "flankscope/parquet,flankscope-plant/mqtt"],
+        false => &[
+            "--features",
+            "flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/parquet",
+        ],
     }
 }
 

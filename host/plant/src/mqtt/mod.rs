@@ -29,7 +29,7 @@ use jiff::Timestamp;
 use tokio::sync::watch;
 
 use crate::access::require_private;
-use crate::history::HistoryFile;
+use crate::history::{HistoryFile, check_id};
 use crate::settings::{MqttSettings, Settings};
 use crate::standing::Standing;
 use broker::{Broker, Dial, Login};
@@ -235,7 +235,7 @@ fn next_in(
     let (history, _) = file.verified()?;
     let read = |number| -> Result<(Check, String), HistoryError> {
         let check = history.check(number)?;
-        let id = id_of(&check, &history.document(number)?);
+        let id = check_id(&check, &history.document(number)?);
         Ok((check, id))
     };
     // Another history stands here, or an older copy of this one: all of it is sent, and receivers know what they have.
@@ -256,12 +256,6 @@ fn next_in(
     }
     let from = if is_same { delivered.number } else { 0 };
     history.next_after(from)?.map(read).transpose()
-}
-
-/// What identifies a check in all histories: BLAKE3 of its number, its time and its document.
-fn id_of(check: &Check, document: &str) -> String {
-    let text = format!("{} {}\n{document}", check.id, check.at);
-    blake3::hash(text.as_bytes()).to_hex().to_string()
 }
 
 /// The language of the messages.

@@ -12,6 +12,7 @@ use jiff::Timestamp;
 
 use super::language::Language;
 use crate::live::Live;
+use crate::percent;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
 /// Name of the newest check's maps in space.
@@ -128,7 +129,7 @@ impl Board {
             };
             Tile {
                 tool: last.tool.clone(),
-                query: query(&last.tool),
+                query: percent::encoded(&last.tool),
                 badge,
                 word,
                 not_counting,
@@ -204,19 +205,6 @@ fn wear(flank: &FlankRow) -> String {
     }
 }
 
-/// A text as the value of a query.
-fn query(text: &str) -> String {
-    let mut out = String::new();
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
-            out.push(char::from(byte));
-        } else {
-            out += &format!("%{byte:02X}");
-        }
-    }
-    out
-}
-
 /// The list of checks.
 #[derive(Template)]
 #[template(path = "checks.html")]
@@ -248,7 +236,10 @@ impl List {
         let verdict = self
             .verdict
             .map_or_else(String::new, |word| format!("&verdict={word}"));
-        format!("checks?tool={}{verdict}&before={before}", query(&self.tool))
+        format!(
+            "checks?tool={}{verdict}&before={before}",
+            percent::encoded(&self.tool)
+        )
     }
 }
 
