@@ -36,6 +36,7 @@ mod standing;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::ffi::OsString;
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -72,6 +73,15 @@ enum Command {
     ///
     /// A history that was changed by others than the instrument is refused. A file that is there already is replaced by the same
     /// bytes. Lengths are millimetres in QIF and DFQ, micrometres in tables; times are UTC.
+    /// Become a program that is interrupted when the process that started this one ends
+    #[command(name = demo_line::UNTIL_PARENT_ENDS, hide = true)]
+    UntilParentEnds {
+        /// Id of the process that started this one
+        parent: i32,
+        /// Program and its arguments
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+        program: Vec<OsString>,
+    },
     #[command(
         after_help = "Example: flankscope-plant export press.db files --as qif,dfq,csv --since 2026-11-01 --until 2026-11-30"
     )]
@@ -118,6 +128,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         Command::Export(args) => {
             let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder))?;
             export::run(args, &seals)
+        }
+        Command::UntilParentEnds { parent, program } => {
+            match demo_line::until_parent_ends(*parent, program)? {}
         }
         Command::Example => {
             print!("{}", settings::EXAMPLE);

@@ -82,7 +82,7 @@ impl Station {
             .unwrap();
         let mut printed = Printed::of(&mut child);
         Plant {
-            page: printed.address("page     http://"),
+            page: printed.address("page     http"),
             modbus: printed.address("modbus"),
             token: self.token.clone(),
             process: Killed(child),
@@ -107,6 +107,7 @@ impl Printed {
 
     fn address(&mut self, words: &str) -> SocketAddr {
         let said = self.after(words);
+        let said = said.trim_start_matches('s').trim_start_matches("://");
         said.trim_end_matches('/').parse().unwrap()
     }
 }
@@ -408,6 +409,65 @@ fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(line.process.0.wait().unwrap().success());
     assert!(!folder.exists());
+}
+
+/// Processes that this one started, and theirs.
+fn descendants(of: u32) -> Vec<u32> {
+    let entries = std::fs::read_dir("/proc").unwrap().flatten();
+    let parents = entries.filter_map(|entry| {
+        let id: u32 = entry.file_name().to_str()?.parse().ok()?;
+        Some((id, stat(id)?.1))
+    });
+    let parents: Vec<(u32, u32)> = parents.collect();
+    let mut found = vec![of];
+    let mut at = 0;
+    while let Some(&parent) = found.get(at) {
+        found.extend(parents.iter().filter(|of| of.1 == parent).map(|of| of.0));
+        at += 1;
+    }
+    found.split_off(1)
+}
+
+/// State and parent of a process (proc_pid_stat(5)).
+fn stat(process: u32) -> Option<(char, u32)> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let (_, rest) = stat.rsplit_once(") ")?;
+    let mut fields = rest.split(' ');
+    Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
+}
+
+#[test]
+fn a_line_that_is_killed_outright_leaves_nothing_that_runs() {
+    let mut child = plant()
+        .arg("demo-line")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut printed = Printed::of(&mut child);
+    printed.after("token");
+    let folder = PathBuf::from(printed.after("folder"));
+    let mut line = Killed(child);
+    let end = Instant::now() + Duration::from_secs(60);
+    // The watch and the bench that it started.
+    let started = loop {
+        let started = descendants(line.0.id());
+        if started.len() >= 2 {
+            break started;
+        }
+        assert!(Instant::now() < end, "{started:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    line.0.kill().unwrap();
+    line.0.wait().unwrap();
+    let end = Instant::now() + Duration::from_secs(20);
+    let runs = |process: &u32| stat(*process).is_some_and(|(state, _)| state != 'Z');
+    while started.iter().any(runs) {
+        assert!(Instant::now() < end, "{started:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    // No process of its own was left that could have removed it.
+    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
