@@ -13,6 +13,7 @@
 //! | `percent` | percent encoding |
 //! | `live` | what a watch does now, from its socket |
 //! | `listener` | connections: how many, and how long their headers may take |
+//! | `encryption` | TLS of the page, behind a feature |
 //! | `page` | routes of the page |
 //! | `metrics` | Prometheus' text |
 //! | `modbus` | registers for a line controller |
@@ -20,6 +21,7 @@
 
 mod access;
 mod demo_line;
+mod encryption;
 mod export;
 mod follow;
 mod history;
@@ -34,9 +36,9 @@ mod percent;
 mod settings;
 mod standing;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::ffi::OsString;
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -47,6 +49,8 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use access::{Role, Users};
 use demo_line::DemoLine;
+use encryption::Encryption;
+use page::Names;
 use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
@@ -69,10 +73,6 @@ enum Command {
     },
     /// Show a simulated line: a press whose die wears, a watch over it, and the page; ends with Ctrl-C and leaves nothing
     DemoLine,
-    /// Write the checks of a period as files for metrologists' programs
-    ///
-    /// A history that was changed by others than the instrument is refused. A file that is there already is replaced by the same
-    /// bytes. Lengths are millimetres in QIF and DFQ, micrometres in tables; times are UTC.
     /// Become a program that is interrupted when the process that started this one ends
     #[command(name = demo_line::UNTIL_PARENT_ENDS, hide = true)]
     UntilParentEnds {
@@ -82,6 +82,10 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
         program: Vec<OsString>,
     },
+    /// Write the checks of a period as files for metrologists' programs
+    ///
+    /// A history that was changed by others than the instrument is refused. A file that is there already is replaced by the same
+    /// bytes. Lengths are millimetres in QIF and DFQ, micrometres in tables; times are UTC.
     #[command(
         after_help = "Example: flankscope-plant export press.db files --as qif,dfq,csv --since 2026-11-01 --until 2026-11-30"
     )]
@@ -125,12 +129,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
             println!("folder   {}", line.folder().display());
             serve(&settings)
         }
+        Command::UntilParentEnds { parent, program } => {
+            match demo_line::until_parent_ends(*parent, program)? {}
+        }
         Command::Export(args) => {
             let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder))?;
             export::run(args, &seals)
-        }
-        Command::UntilParentEnds { parent, program } => {
-            match demo_line::until_parent_ends(*parent, program)? {}
         }
         Command::Example => {
             print!("{}", settings::EXAMPLE);
@@ -155,11 +159,13 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
             let users = Users::load(&of.users)?;
+            let encryption = Encryption::of(of)?;
             let listener = TcpListener::bind(of.listen)
                 .await
                 .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
             let address = listener.local_addr()?;
-            let names = (address, of.name.as_deref());
+            let scheme = encryption.scheme();
+            let names = Names::new(address, of.name.as_deref(), encryption.is_on());
             let live = live::follow(&settings.history)?;
             let site = page::Site::new(
                 settings,
@@ -168,8 +174,9 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
                 seals.clone(),
                 (standing.clone(), live),
             );
-            println!("page     http://{address}/");
-            tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
+            println!("page     {scheme}://{address}/");
+            let routes = page::routes(Arc::new(site));
+            tasks.spawn(listener::serve(listener, encryption, routes));
         }
         if let Some(of) = &settings.modbus {
             let listener = TcpListener::bind(of.listen)

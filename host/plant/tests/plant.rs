@@ -1,8 +1,10 @@
 //! The plant's process against histories that the instrument writes: who gets in, what is shown, and what it shows when it knows
 //! nothing.
 
+use std::fs::Permissions;
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -468,6 +470,207 @@ fn a_line_that_is_killed_outright_leaves_nothing_that_runs() {
     }
     // No process of its own was left that could have removed it.
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[cfg(feature = "tls")]
+fn openssl(folder: &Path, arguments: &str) {
+    let mut command = Command::new("openssl");
+    command.args(arguments.split(' ')).current_dir(folder);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+}
+
+#[cfg(feature = "tls")]
+#[test]
+fn a_page_with_a_certificate_speaks_tls_alone_to_clients_that_verify_it() {
+    if flankscope_test_requisites::openssl().is_none() {
+        return;
+    }
+    let station = Station::new(3600);
+    assert_eq!(station.check(&[]), 0);
+    let folder = station.folder.path();
+    let new = "-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2";
+    for name in ["plant", "other"] {
+        openssl(
+            folder,
+            &format!("req -x509 {new} -keyout {name}.key -out {name}.pem -subj /CN={name}"),
+        );
+    }
+    openssl(
+        folder,
+        &format!("req {new} -keyout press7.key -out press7.csr -subj /CN=press7"),
+    );
+    std::fs::write(
+        folder.join("names"),
+        "subjectAltName=DNS:press7.example.org\n",
+    )
+    .unwrap();
+    let sign =
+        "x509 -req -in press7.csr -CA plant.pem -CAkey plant.key -CAcreateserial -extfile names";
+    openssl(folder, &format!("{sign} -out press7.pem -days 2"));
+    // Valid for this second.
+    openssl(folder, &format!("{sign} -out old.pem -days 0"));
+    let settings = |listen: &str, more: &str| {
+        let text = format!(
+            "history = \"press.db\"\nstale_after_s = 3600\n\n[page]\nlisten = \"{listen}\"\nusers = \"users.toml\"\n{more}\n\n\
+             [modbus]\nlisten = \"127.0.0.1:0\"\n"
+        );
+        std::fs::write(folder.join("plant.toml"), text).unwrap();
+    };
+    let refused = |said: &str| {
+        let output = plant()
+            .arg("serve")
+            .arg(folder.join("plant.toml"))
+            .output()
+            .unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            output.status.code() == Some(3) && error.contains(said),
+            "{error}"
+        );
+    };
+    let name = "name = \"press7.example.org\"";
+    let both = "certificate = \"press7.pem\"\nkey = \"press7.key\"";
+    settings("0.0.0.0:0", name);
+    refused("tokens would cross the network in clear");
+    settings("127.0.0.1:0", "certificate = \"press7.pem\"");
+    refused("a certificate needs its `key`");
+    settings("0.0.0.0:0", both);
+    refused("in `name`");
+    let mode = |mode| {
+        std::fs::set_permissions(folder.join("press7.key"), Permissions::from_mode(mode)).unwrap();
+    };
+    settings("0.0.0.0:0", &format!("{name}\n{both}"));
+    mode(0o644);
+    refused("press7.key: mode 644");
+    mode(0o600);
+    settings(
+        "0.0.0.0:0",
+        &format!("{name}\ncertificate = \"other.pem\"\nkey = \"press7.key\""),
+    );
+    refused("do not belong together");
+
+    settings("0.0.0.0:0", &format!("{name}\n{both}"));
+    let plant = station.serve();
+    let port = plant.page.port();
+    // What a client of others gets that asks by name, and verifies what it is shown.
+    let asked = |ca: &str, version: &str, request: &str| {
+        let mut client = Command::new("openssl")
+            .args([
+                "s_client",
+                "-quiet",
+                "-verify_return_error",
+                "-verify_hostname",
+                "press7.example.org",
+            ])
+            .args(["-servername", "press7.example.org", version, "-CAfile", ca])
+            .arg("-connect")
+            .arg(format!("127.0.0.1:{port}"))
+            .current_dir(folder)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let _may_have_ended = client.stdin.take().unwrap().write_all(request.as_bytes());
+        let output = client.wait_with_output().unwrap();
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let request = |path: &str, host: &str, more: &str| {
+        format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n")
+    };
+    let bearer = format!("Authorization: Bearer {}\r\n", station.token);
+    for version in ["-tls1_2", "-tls1_3"] {
+        for host in [
+            "press7.example.org".to_owned(),
+            format!("press7.example.org:{port}"),
+        ] {
+            let answer = asked("plant.pem", version, &request("/checks", &host, &bearer));
+            assert!(
+                answer.starts_with("HTTP/1.1 200") && answer.contains("/checks/1"),
+                "{answer}"
+            );
+        }
+    }
+    let healthz = request("/healthz", "press7.example.org", "");
+    assert_eq!(
+        asked("other.pem", "-tls1_3", &healthz),
+        "",
+        "a stranger's certificate"
+    );
+    assert_eq!(
+        asked("plant.pem", "-tls1_1", &healthz),
+        "",
+        "an old version"
+    );
+    let form = format!("token={}&to=%2F", station.token);
+    let login = format!(
+        "POST /login HTTP/1.1\r\nHost: press7.example.org\r\nConnection: close\r\nContent-Type: application/x-www-form-urlencoded\r\n\
+         Content-Length: {}\r\n\r\n{form}",
+        form.len()
+    );
+    let answer = asked("plant.pem", "-tls1_3", &login);
+    assert!(
+        answer.contains("HttpOnly; SameSite=Strict; Secure"),
+        "{answer}"
+    );
+    // In clear there is no answer in HTTP.
+    let mut plain = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    plain
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    plain.write_all(healthz.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    let _closed = plain.read_to_end(&mut answer);
+    assert!(!answer.starts_with(b"HTTP"), "{answer:?}");
+    // One that says nothing is closed in time.
+    let mut silent = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    silent
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    let begin = Instant::now();
+    assert_eq!(silent.read(&mut [0]).unwrap_or(0), 0);
+    assert!(
+        begin.elapsed() < Duration::from_secs(15),
+        "{:?}",
+        begin.elapsed()
+    );
+    drop(plant);
+
+    // An expired certificate is served, and named.
+    settings(
+        "127.0.0.1:0",
+        &format!("{name}\ncertificate = \"old.pem\"\nkey = \"press7.key\""),
+    );
+    let mut command = self::plant();
+    command
+        .arg("serve")
+        .arg(folder.join("plant.toml"))
+        .stdout(Stdio::null());
+    let mut old = Killed(command.stderr(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(old.0.stderr.take().unwrap()).lines();
+    let said = lines
+        .find(|line| line.as_ref().unwrap().contains("old.pem"))
+        .unwrap()
+        .unwrap();
+    assert!(said.contains("this certificate expired at 20"), "{said}");
+}
+
+#[cfg(not(feature = "tls"))]
+#[test]
+fn a_certificate_is_refused_by_a_program_without_tls() {
+    let station = Station::new(3600);
+    let file = station.folder.path().join("plant.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let users = "users = \"users.toml\"";
+    let both = format!("{users}\ncertificate = \"a.pem\"\nkey = \"a.key\"");
+    std::fs::write(&file, text.replace(users, &both)).unwrap();
+    let output = plant().arg("serve").arg(file).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(3) && error.contains("--features tls"),
+        "{error}"
+    );
 }
 
 #[test]

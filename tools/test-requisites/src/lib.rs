@@ -193,6 +193,15 @@ pub fn prometheus() -> Option<PathBuf> {
     on_path(PROMETHEUS).or_else(|| missed(PROMETHEUS))
 }
 
+/// OpenSSL's program, which makes certificates and speaks TLS.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn openssl() -> Option<PathBuf> {
+    on_path("openssl").or_else(|| missed("openssl"))
+}
+
 /// Names of the browser whose engine draws the pages in tests.
 pub const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
 

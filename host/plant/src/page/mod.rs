@@ -42,7 +42,7 @@ use crate::live::Live;
 use crate::metrics;
 use crate::settings::Settings;
 use crate::standing::Standing;
-use entry::Names;
+pub use entry::Names;
 use language::Language;
 use views::{Board, CheckPage, List};
 
@@ -71,17 +71,17 @@ pub struct Site {
 }
 
 impl Site {
-    /// A site that is reached at `address`, and under `name` through a proxy with TLS.
+    /// A site that is reached under these names.
     pub fn new(
         settings: &Settings,
-        (address, name): (std::net::SocketAddr, Option<&str>),
+        names: Names,
         users: Users,
         seals: Seals,
         (standing, live): (watch::Receiver<Arc<Standing>>, watch::Receiver<Live>),
     ) -> Self {
         Self {
             users,
-            names: Names::new(address, name),
+            names,
             reports: settings.reports.clone(),
             standing,
             live,
