@@ -50,7 +50,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use access::{Role, Users};
 use demo_line::DemoLine;
 use encryption::Encryption;
-use page::Names;
+use page::{Names, UsersFile};
 use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
@@ -158,7 +158,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         let mut terminate = signal(SignalKind::terminate())?;
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
-            let users = Users::load(&of.users)?;
+            let users = UsersFile::load(&of.users)?;
             let encryption = Encryption::of(of)?;
             let listener = TcpListener::bind(of.listen)
                 .await

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use flankscope_tests::{Killed, flankscope, run, state};
 
-const ROUTES: [&str; 10] = [
+const ROUTES: [&str; 11] = [
     "/",
     "/board",
     "/now",
@@ -22,6 +22,7 @@ const ROUTES: [&str; 10] = [
     "/trend?tool=demo%20die",
     "/reports/a.html",
     "/metrics",
+    "/users",
 ];
 
 fn plant() -> Command {
@@ -470,6 +471,120 @@ fn a_line_that_is_killed_outright_leaves_nothing_that_runs() {
     }
     // No process of its own was left that could have removed it.
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn an_admin_gives_and_revokes_tokens_which_count_at_once() {
+    let station = Station::new(3600);
+    assert_eq!(station.check(&["--wear", "40:left:80"]), 1);
+    let users = station.folder.path().join("users.toml");
+    let chief = printed(&["token", "Chief", "--role", "admin", "--users"], &users);
+    let screen = printed(&["token", "screen", "--users"], &users);
+    let plant = station.serve();
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    let admin = bearer(&chief);
+    // Who only looks or acknowledges neither sees nor changes anything here.
+    for token in [&screen, &station.token] {
+        let other = bearer(token);
+        assert_eq!(plant.get("/users", &other).status, 403);
+        assert_eq!(
+            plant.post("/users", &other, "name=a&role=admin").status,
+            403
+        );
+        assert_eq!(
+            plant.post("/users/revoke", &other, "name=Chief").status,
+            403
+        );
+    }
+    // Neither does another site's page with an admin's cookie.
+    let elsewhere = format!("{admin}Origin: https://evil.example\r\n");
+    assert_eq!(
+        plant.post("/users", &elsewhere, "name=a&role=admin").status,
+        403
+    );
+    assert_eq!(
+        plant
+            .post("/users/revoke", &elsewhere, "name=screen")
+            .status,
+        403
+    );
+    let text = || std::fs::read_to_string(&users).unwrap();
+    assert!(text().contains("\"screen\"") && !text().contains("\"a\""));
+
+    let page = plant.get("/users", &admin).text;
+    for part in [
+        "Chief (you)",
+        "<td class=\"text\">acknowledge</td>",
+        "Anna",
+        "20",
+    ] {
+        assert!(page.contains(part), "no {part} in {page}");
+    }
+    assert!(!page.contains(&chief) && !page.contains("token_blake3"));
+    let german = plant.get("/users", &format!("{admin}Accept-Language: de\r\n"));
+    assert!(german.text.contains("Token ausstellen"), "{}", german.text);
+    assert!(plant.get("/", &admin).text.contains("href=\"/users\""));
+    assert!(!plant.with_token("/").text.contains("href=\"/users\""));
+
+    // Given: shown once, good at once, and only its hash is kept.
+    let given = plant.post("/users", &admin, "name=Bert&role=acknowledge");
+    assert_eq!(given.status, 200);
+    let token = given.text.split("<code>").nth(1).unwrap();
+    let token = token.split('<').next().unwrap().to_owned();
+    assert_eq!(token.len(), 64);
+    assert!(!plant.get("/users", &admin).text.contains(&token));
+    assert!(text().contains("\"Bert\"") && !text().contains(&token));
+    let mode = std::fs::metadata(&users).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o600);
+    assert_eq!(plant.get("/board", &bearer(&token)).status, 200);
+    plant.board_with("is not acknowledged");
+    let form = "check=1&reason=a";
+    assert_eq!(
+        plant.post("/acknowledge", &bearer(&token), form).status,
+        303
+    );
+    for (form, status) in [
+        ("name=Bert&role=view", 409),
+        ("name=+&role=view", 422),
+        ("name=a%2Fb&role=view", 422),
+        ("name=c&role=king", 422),
+    ] {
+        assert_eq!(plant.post("/users", &admin, form).status, status, "{form}");
+    }
+
+    // Revoked: good for nothing at once.
+    assert_eq!(plant.post("/users/revoke", &admin, "name=Bert").status, 303);
+    assert_eq!(plant.get("/board", &bearer(&token)).status, 401);
+    assert_eq!(plant.post("/users/revoke", &admin, "name=Bert").status, 404);
+    let last = plant.post("/users/revoke", &admin, "name=Chief");
+    assert!(
+        last.status == 409 && last.text.contains("last one"),
+        "{}",
+        last.text
+    );
+    assert_eq!(plant.get("/users", &admin).status, 200);
+
+    // A file that was made read-only, and an admin whose line somebody took out of it.
+    let writable = std::fs::metadata(&users).unwrap().permissions();
+    std::fs::set_permissions(&users, Permissions::from_mode(0o400)).unwrap();
+    let refused = plant.post("/users/revoke", &admin, "name=screen");
+    assert!(
+        refused.status == 503 && refused.text.contains("read-only"),
+        "{}",
+        refused.text
+    );
+    std::fs::set_permissions(&users, writable).unwrap();
+    assert_eq!(plant.get("/board", &bearer(&screen)).status, 200);
+    std::fs::write(
+        &users,
+        text().replace("role = \"admin\"", "role = \"view\""),
+    )
+    .unwrap();
+    assert_eq!(
+        plant.post("/users/revoke", &admin, "name=screen").status,
+        403
+    );
+    assert_eq!(plant.get("/users", &admin).status, 403);
 }
 
 #[cfg(feature = "tls")]

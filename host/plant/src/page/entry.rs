@@ -102,7 +102,7 @@ pub async fn with_token(
     next: Next,
 ) -> Response {
     let user = token(request.headers()).and_then(|token| site.users.of_token(token));
-    if let Some(user) = user.cloned() {
+    if let Some(user) = user {
         request.extensions_mut().insert(user);
         return next.run(request).await;
     }

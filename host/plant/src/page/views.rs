@@ -11,6 +11,7 @@ use flankscope_report::figure;
 use jiff::Timestamp;
 
 use super::language::Language;
+use crate::access::{Role, User};
 use crate::live::Live;
 use crate::percent;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
@@ -38,6 +39,26 @@ pub struct Home {
     pub now: String,
     /// Whether there are maps in space.
     pub has_map3d: bool,
+    /// Whether its reader gives and revokes tokens.
+    pub is_admin: bool,
+}
+
+/// Who has a token.
+#[derive(Template)]
+#[template(path = "users.html")]
+pub struct UsersPage<'a> {
+    pub lang: Language,
+    pub users: &'a [User],
+    /// The reader's own name.
+    pub own: &'a str,
+    /// Name and token of somebody who was just given one: shown this once.
+    pub given: Option<(&'a str, &'a str)>,
+}
+
+impl UsersPage<'_> {
+    fn roles(&self) -> [Role; 3] {
+        [Role::View, Role::Acknowledge, Role::Admin]
+    }
 }
 
 /// What a watch does now.
