@@ -16,6 +16,23 @@ pub enum Role {
     View,
     /// Acknowledge a no-go, too.
     Acknowledge,
+    /// Give and revoke tokens, too.
+    Admin,
+}
+
+impl Role {
+    pub fn acknowledges(self) -> bool {
+        matches!(self, Self::Acknowledge | Self::Admin)
+    }
+
+    /// Its name, as files and command line spell it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::View => "view",
+            Self::Acknowledge => "acknowledge",
+            Self::Admin => "admin",
+        }
+    }
 }
 
 /// A person or program.
@@ -24,6 +41,9 @@ pub enum Role {
 pub struct User {
     pub name: String,
     pub role: Role,
+    /// When the token was made: ISO 8601, UTC. Older files do not state it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub created: Option<String>,
     /// BLAKE3 of the token.
     token_blake3: String,
 }
@@ -56,6 +76,12 @@ pub enum UsersError {
     Known { path: PathBuf, name: String },
     #[error(transparent)]
     Toml(#[from] toml::ser::Error),
+    #[error("{}: nobody of the name {name} has a token", path.display())]
+    Unknown { path: PathBuf, name: String },
+    #[error("{}: {name} is the last one with the role admin; give somebody else that role first", path.display())]
+    LastAdmin { path: PathBuf, name: String },
+    #[error("{}: read-only (mode {mode:o}), so that tokens can be given and revoked only where it is kept; chmod 600 allows it here", path.display())]
+    ReadOnly { path: PathBuf, mode: u32 },
     #[error("'{got}' is no name: 1 to 64 letters, digits, spaces, - . _ @ are")]
     NoName { got: String },
 }
@@ -96,7 +122,7 @@ impl Users {
         self.user.iter().map(hash).collect()
     }
 
-    /// Adds a person or program and returns the token.
+    /// Adds a person or program to the file, which is made if it is missing, and returns the token.
     ///
     /// # Errors
     /// The name is none or known, or the file cannot be read or written.
@@ -106,10 +132,6 @@ impl Users {
         {
             return Err(UsersError::NoName { got: name.into() });
         }
-        let failed = |source| UsersError::Io {
-            path: path.into(),
-            source,
-        };
         let mut users = if path.exists() {
             Self::read(path)?
         } else {
@@ -121,22 +143,56 @@ impl Users {
                 name: name.into(),
             });
         }
-        let mut random = [0_u8; 32];
-        let mut filled = 0;
-        while filled < random.len() {
-            let flags = rustix::rand::GetRandomFlags::empty();
-            filled += rustix::rand::getrandom(&mut random[filled..], flags)
-                .map_err(|error| failed(error.into()))?;
-        }
-        let token = Hash::from_bytes(random).to_hex().to_string();
+        let token = random_token().map_err(failed(path))?;
         users.user.push(User {
             name: name.into(),
             role,
+            created: Some(
+                jiff::Timestamp::now()
+                    .strftime("%Y-%m-%dT%H:%M:%SZ")
+                    .to_string(),
+            ),
             token_blake3: blake3::hash(token.as_bytes()).to_hex().to_string(),
         });
-        let text = toml::to_string(&users)?;
-        write_whole_with_mode(path, text.as_bytes(), 0o600).map_err(failed)?;
+        users.write(path)?;
         Ok(token)
+    }
+
+    /// Removes a person or program from the file: the token is good for nothing any more.
+    ///
+    /// # Errors
+    /// Nobody has this name, it is the last admin's, or the file cannot be read or written.
+    pub fn revoke(path: &Path, name: &str) -> Result<(), UsersError> {
+        let mut users = Self::read(path)?;
+        let (path, name) = (path.to_owned(), name.to_owned());
+        let Some(at) = users.user.iter().position(|user| user.name == name) else {
+            return Err(UsersError::Unknown { path, name });
+        };
+        let removed = users.user.remove(at);
+        let is_admin = |user: &User| user.role == Role::Admin;
+        if is_admin(&removed) && !users.user.iter().any(is_admin) {
+            return Err(UsersError::LastAdmin { path, name });
+        }
+        users.write(&path)
+    }
+
+    /// Writes the file whole.
+    fn write(&self, path: &Path) -> Result<(), UsersError> {
+        // Renaming would replace it all the same.
+        if let Ok(meta) = std::fs::metadata(path) {
+            let mode = meta.permissions().mode() & 0o777;
+            if mode & 0o200 == 0 {
+                let path = path.into();
+                return Err(UsersError::ReadOnly { path, mode });
+            }
+        }
+        let text = toml::to_string(self)?;
+        write_whole_with_mode(path, text.as_bytes(), 0o600).map_err(failed(path))
+    }
+
+    /// All of them, in the order in which they were added.
+    pub fn all(&self) -> &[User] {
+        &self.user
     }
 
     /// Whose token it is. All are compared, each in constant time.
@@ -158,15 +214,30 @@ impl Users {
     }
 }
 
+fn failed(path: &Path) -> impl Fn(std::io::Error) -> UsersError {
+    move |source| UsersError::Io {
+        path: path.into(),
+        source,
+    }
+}
+
+/// 256 random bits, in hexadecimal digits.
+fn random_token() -> std::io::Result<String> {
+    let mut random = [0_u8; 32];
+    let mut filled = 0;
+    while filled < random.len() {
+        let flags = rustix::rand::GetRandomFlags::empty();
+        filled += rustix::rand::getrandom(&mut random[filled..], flags)?;
+    }
+    Ok(Hash::from_bytes(random).to_hex().to_string())
+}
+
 /// Refuses a file of secrets that others can read or write.
 ///
 /// # Errors
 /// They can, or it is not there.
 pub fn require_private(path: &Path) -> Result<(), UsersError> {
-    let meta = std::fs::metadata(path).map_err(|source| UsersError::Io {
-        path: path.into(),
-        source,
-    })?;
+    let meta = std::fs::metadata(path).map_err(failed(path))?;
     let mode = meta.permissions().mode() & 0o777;
     match mode & 0o077 {
         0 => Ok(()),

@@ -6,7 +6,7 @@ use flankscope_foundation::display::is_command;
 use flankscope_record::history::{History, HistoryError};
 use flankscope_record::seal::Seals;
 
-use crate::access::{Role, User};
+use crate::access::User;
 
 /// Longest reason of an acknowledgement, characters.
 pub const MOST_REASON: usize = 200;
@@ -47,7 +47,7 @@ impl Acknowledging {
         tool: Option<&str>,
         reason: &str,
     ) -> Result<(), Refused> {
-        if user.role != Role::Acknowledge {
+        if !user.role.acknowledges() {
             return Err(Refused::NotAllowed(user.name.clone()));
         }
         let reason = reason.trim();

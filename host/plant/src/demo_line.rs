@@ -1,14 +1,39 @@
 //! A line to show to a visitor: a simulated press whose die wears, a watch over it, and the page, in a folder that goes with it.
 
+use std::convert::Infallible;
+use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::{env, process};
 
 use anyhow::Context;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
 
 use crate::access::{Role, Users};
 use crate::settings::Settings;
+
+/// Name of the command that runs [`until_parent_ends`].
+pub const UNTIL_PARENT_ENDS: &str = "until-parent-ends";
+
+/// Becomes another program that gets a Ctrl-C when the process `parent` ends, however that ends: on SIGKILL nothing of its own runs any
+/// more. The kernel keeps the request over `exec`, and a child process that asks for it itself needs no `unsafe`.
+///
+/// # Errors
+/// There is no such program, or `parent` has ended.
+pub fn until_parent_ends(parent: i32, program: &[OsString]) -> anyhow::Result<Infallible> {
+    set_parent_process_death_signal(Some(Signal::INT))?;
+    // It may have ended before the request.
+    anyhow::ensure!(
+        getppid().is_some_and(|pid| pid.as_raw_nonzero().get() == parent),
+        "process {parent}, which started this one, has ended"
+    );
+    let (name, arguments) = program.split_first().context("no program to become")?;
+    let failed = Command::new(name).args(arguments).exec();
+    let name = Path::new(name).display();
+    Err(failed)
+        .with_context(|| format!("{name} (the instrument's program, beside this one or in PATH)"))
+}
 
 /// The simulated line. The watch ends with it.
 pub struct DemoLine {
@@ -28,7 +53,7 @@ impl DemoLine {
     /// Starts the watch, and returns the settings of its page and the token for it.
     ///
     /// # Errors
-    /// There is no `flankscope` beside this program or in `PATH`, or no folder for the line can be made.
+    /// No folder for the line can be made, or no process started.
     pub fn start() -> anyhow::Result<(Self, Settings, String)> {
         let folder = tempfile::Builder::new()
             .prefix("flankscope-demo-line-")
@@ -42,9 +67,12 @@ impl DemoLine {
              [page]\nlisten = \"127.0.0.1:0\"\nusers = \"users.toml\"\n\n[modbus]\nlisten = \"127.0.0.1:0\"\n",
         )?;
         let settings = Settings::load(&plant)?;
-        let watch = Command::new(instrument())
+        // Through this program: should this process be killed, the watch is told and ends.
+        let watch = Command::new(env::current_exe()?)
+            .arg(UNTIL_PARENT_ENDS)
+            .arg(process::id().to_string())
+            .arg(instrument())
             .args(["watch", "--link", "sim", "--every", "5", "--quiet"])
-            // Should this process be killed, the watch ends with the visit.
             .args(["--cycles", "3600"])
             // A Ctrl-C at the terminal reaches it once, from this process.
             .process_group(0)
@@ -56,8 +84,7 @@ impl DemoLine {
             .arg(at.join("out"))
             // What is typed here acknowledges nothing; the page does.
             .stdin(Stdio::null())
-            .spawn()
-            .context("no flankscope beside this program or in PATH")?;
+            .spawn()?;
         Ok((Self { folder, watch }, settings, token))
     }
 
@@ -69,7 +96,7 @@ impl DemoLine {
 
 /// The instrument's program: beside this one, or by its name alone.
 fn instrument() -> PathBuf {
-    let beside = std::env::current_exe().map(|own| own.with_file_name("flankscope"));
+    let beside = env::current_exe().map(|own| own.with_file_name("flankscope"));
     let beside = beside.ok().filter(|path| path.is_file());
     beside.unwrap_or_else(|| "flankscope".into())
 }

@@ -3,9 +3,7 @@
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-#[cfg(any(feature = "mqtt", feature = "opcua"))]
-use flankscope_record::history::Check;
-use flankscope_record::history::{History, HistoryError};
+use flankscope_record::history::{Check, History, HistoryError};
 use flankscope_record::seal::Seals;
 
 /// A history, opened when it is needed, and again when another file stands in its place.
@@ -83,14 +81,13 @@ impl HistoryFile {
     }
 }
 
-/// What identifies a check in all histories: BLAKE3 of its number, its time and its document.
-#[cfg(any(feature = "mqtt", feature = "opcua"))]
-pub fn id_of(check: &Check, document: &str) -> String {
-    let text = format!("{} {}\n{document}", check.id, check.at);
-    blake3::hash(text.as_bytes()).to_hex().to_string()
-}
-
 fn file_of(path: &Path) -> Option<[u64; 2]> {
     let of = std::fs::metadata(path).ok()?;
     Some([of.dev(), of.ino()])
+}
+
+/// What identifies a check in all histories: BLAKE3 of its number, its time and its document.
+pub fn check_id(check: &Check, document: &str) -> String {
+    let text = format!("{} {}\n{document}", check.id, check.at);
+    blake3::hash(text.as_bytes()).to_hex().to_string()
 }

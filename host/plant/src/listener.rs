@@ -10,6 +10,8 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
+use crate::encryption::Encryption;
+
 /// Connections at a time: people at screens, a metrics server, and room for those that never say anything.
 const MOST_CONNECTIONS: usize = 1000;
 /// Time for a request's headers.
@@ -18,7 +20,11 @@ const HEADER_TIME: Duration = Duration::from_secs(10);
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// Serves pages until the process ends.
-pub async fn serve(listener: TcpListener, routes: Router) -> anyhow::Result<()> {
+pub async fn serve(
+    listener: TcpListener,
+    encryption: Encryption,
+    routes: Router,
+) -> anyhow::Result<()> {
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     loop {
         let permit = Arc::clone(&room).acquire_owned().await?;
@@ -31,8 +37,13 @@ pub async fn serve(listener: TcpListener, routes: Router) -> anyhow::Result<()> 
             }
         };
         let service = TowerToHyperService::new(routes.clone());
+        let encryption = encryption.clone();
         tokio::spawn(async move {
             let _permit = permit;
+            // One that does not agree on a key in time, or speaks plainly where that is not done, is closed.
+            let Some(stream) = encryption.agree(stream).await else {
+                return;
+            };
             let mut http = http1::Builder::new();
             http.timer(TokioTimer::new())
                 .header_read_timeout(HEADER_TIME);

@@ -10,8 +10,11 @@
 //! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
 //! | `standing` | what stands for every tool: last verdict, its age, whether it counts |
+//! | `export` | files of a period for metrologists |
+//! | `percent` | percent encoding |
 //! | `live` | what a watch does now, from its socket |
 //! | `listener` | connections: how many, and how long their headers may take |
+//! | `encryption` | TLS of the page, behind a feature |
 //! | `page` | routes of the page |
 //! | `metrics` | Prometheus' text |
 //! | `modbus` | registers for a line controller |
@@ -21,6 +24,8 @@
 mod access;
 mod acknowledge;
 mod demo_line;
+mod encryption;
+mod export;
 mod follow;
 mod history;
 mod listener;
@@ -32,9 +37,11 @@ mod mqtt;
 #[cfg(feature = "opcua")]
 mod opcua;
 mod page;
+mod percent;
 mod settings;
 mod standing;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -50,6 +57,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use access::{Role, Users};
 use demo_line::DemoLine;
+use encryption::Encryption;
+use page::{Names, UsersFile};
 use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
@@ -72,6 +81,23 @@ enum Command {
     },
     /// Show a simulated line: a press whose die wears, a watch over it, and the page; ends with Ctrl-C and leaves nothing
     DemoLine,
+    /// Become a program that is interrupted when the process that started this one ends
+    #[command(name = demo_line::UNTIL_PARENT_ENDS, hide = true)]
+    UntilParentEnds {
+        /// Id of the process that started this one
+        parent: i32,
+        /// Program and its arguments
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+        program: Vec<OsString>,
+    },
+    /// Write the checks of a period as files for metrologists' programs
+    ///
+    /// A history that was changed by others than the instrument is refused. A file that is there already is replaced by the same
+    /// bytes. Lengths are millimetres in QIF and DFQ, micrometres in tables; times are UTC.
+    #[command(
+        after_help = "Example: flankscope-plant export press.db files --as qif,dfq,csv --since 2026-11-01 --until 2026-11-30"
+    )]
+    Export(export::Args),
     /// Write an example of the settings file to standard output
     Example,
     /// Give a person or a program a token for the page; it is printed once, the file keeps its hash
@@ -117,6 +143,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
             println!("folder   {}", line.folder().display());
             serve(&settings)
         }
+        Command::UntilParentEnds { parent, program } => {
+            match demo_line::until_parent_ends(*parent, program)? {}
+        }
+        Command::Export(args) => {
+            let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder))?;
+            export::run(args, &seals)
+        }
         Command::Example => {
             print!("{}", settings::EXAMPLE);
             Ok(())
@@ -139,12 +172,14 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         let mut terminate = signal(SignalKind::terminate())?;
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
-            let users = Users::load(&of.users)?;
+            let users = UsersFile::load(&of.users)?;
+            let encryption = Encryption::of(of)?;
             let listener = TcpListener::bind(of.listen)
                 .await
                 .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
             let address = listener.local_addr()?;
-            let names = (address, of.name.as_deref());
+            let scheme = encryption.scheme();
+            let names = Names::new(address, of.name.as_deref(), encryption.is_on());
             let live = live::follow(&settings.history)?;
             let site = page::Site::new(
                 settings,
@@ -153,8 +188,9 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
                 seals.clone(),
                 (standing.clone(), live),
             );
-            println!("page     http://{address}/");
-            tasks.spawn(listener::serve(listener, page::routes(Arc::new(site))));
+            println!("page     {scheme}://{address}/");
+            let routes = page::routes(Arc::new(site));
+            tasks.spawn(listener::serve(listener, encryption, routes));
         }
         if let Some(of) = &settings.modbus {
             let listener = TcpListener::bind(of.listen)

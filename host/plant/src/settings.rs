@@ -33,8 +33,12 @@ pub struct PageSettings {
     pub listen: SocketAddr,
     /// Names and hashes of tokens, written by `flankscope-plant token`.
     pub users: PathBuf,
-    /// Name by which a browser reaches the page, if a proxy with TLS stands before it.
+    /// Name by which a browser reaches the page.
     pub name: Option<String>,
+    /// Certificate of that name and those between it and its issuer (PEM): the page encrypts by itself.
+    pub certificate: Option<PathBuf>,
+    /// Private key of the certificate (PEM), which others must not read.
+    pub key: Option<PathBuf>,
 }
 
 /// Registers for a line controller.
@@ -160,6 +164,8 @@ impl Settings {
         settings.reports = settings.reports.map(|reports| folder.join(reports));
         if let Some(page) = &mut settings.page {
             page.users = folder.join(&page.users);
+            page.certificate = page.certificate.as_ref().map(|path| folder.join(path));
+            page.key = page.key.as_ref().map(|path| folder.join(path));
         }
         if let Some(mqtt) = &mut settings.mqtt {
             mqtt.ca = mqtt.ca.as_ref().map(|ca| folder.join(ca));
@@ -174,8 +180,13 @@ impl Settings {
     }
 
     fn check(&self) -> Result<(), BadValue> {
-        let listen = self.page.as_ref().map(|page| page.listen);
-        let is_private = listen.is_none_or(|listen| listen.ip().is_loopback());
+        let page = self.page.as_ref();
+        let listen = page.map(|page| page.listen);
+        let certificate = page.and_then(|page| page.certificate.as_deref());
+        let certificate = certificate.map(Path::display);
+        let has_key = page.is_some_and(|page| page.key.is_some());
+        let is_loopback = listen.is_none_or(|listen| listen.ip().is_loopback());
+        let has_name = page.is_some_and(|page| page.name.is_some());
         let listens = self.page.is_some()
             || self.modbus.is_some()
             || self.mqtt.is_some()
@@ -205,11 +216,29 @@ impl Settings {
                 "must be 1 to 31536000 seconds (a year)",
             ),
             (
-                is_private,
+                certificate.is_some() == has_key,
+                "page.certificate",
+                &certificate,
+                "a certificate needs its `key`, and a key its `certificate`: name both, or none of them behind a proxy",
+            ),
+            (
+                certificate.is_none() || cfg!(feature = "tls"),
+                "page.certificate",
+                &certificate,
+                "this program was built without TLS: cargo install --path host/plant --features tls, or a proxy before it (docs/plant.md)",
+            ),
+            (
+                is_loopback || certificate.is_some(),
                 "page.listen",
                 &listen,
-                "other machines reach this address, and tokens would cross the network in clear: listen on 127.0.0.1 and put a proxy \
-                 with TLS before it (docs/plant.md)",
+                "other machines reach this address, and tokens would cross the network in clear: name `certificate` and `key`, or listen \
+                 on 127.0.0.1 and put a proxy with TLS before it (docs/plant.md)",
+            ),
+            (
+                is_loopback || has_name,
+                "page.listen",
+                &listen,
+                "other machines reach this address: state the certificate's name, by which browsers ask for the page, in `name`",
             ),
             (
                 mqtt.is_none() || cfg!(feature = "mqtt"),

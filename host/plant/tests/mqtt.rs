@@ -3,6 +3,7 @@
 
 mod broker;
 mod press;
+mod process;
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -11,7 +12,8 @@ use std::time::Duration;
 
 use broker::{Cable, Station};
 use flankscope_metrology::verdict::Word;
-use press::{Press, wait_for};
+use press::Press;
+use process::wait_for;
 use serde_json::{Value, json};
 
 const TOOL: &str = "demo die";
@@ -384,7 +386,7 @@ fn what_goes_over_a_network_is_encrypted_and_goes_to_the_right_broker_alone() {
         "per_listener_settings true\nallow_anonymous true\nlistener {{TLS}} 127.0.0.1\ncertfile {folder}/broker.pem\n\
          keyfile {folder}/broker.key\npassword_file {folder}/passwords\nallow_anonymous false"
     );
-    let tls = press::free_port();
+    let tls = process::free_port();
     let Some(station) = Station::new(&settings.replace("{TLS}", &tls.to_string())) else {
         return;
     };

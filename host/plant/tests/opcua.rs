@@ -2,6 +2,7 @@
 //! what it does not know.
 
 mod press;
+mod process;
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -16,7 +17,8 @@ use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
 use flankscope_test_requisites::{opcua_clients, workspace};
 use flankscope_tests::{Killed, state};
-use press::{AT_MOST, Plant, Press, free_port, lines_of, wait_for};
+use press::Press;
+use process::{AT_MOST, Plant, free_port, lines_of, wait_for};
 use serde_json::{Value, json};
 
 const SECURE: &str = "Basic256Sha256";

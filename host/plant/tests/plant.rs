@@ -1,15 +1,17 @@
 //! The plant's process against histories that the instrument writes: who gets in, what is shown, and what it shows when it knows
 //! nothing.
 
+use std::fs::Permissions;
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use flankscope_tests::{Killed, flankscope, run, state};
 
-const ROUTES: [&str; 10] = [
+const ROUTES: [&str; 11] = [
     "/",
     "/board",
     "/now",
@@ -20,6 +22,7 @@ const ROUTES: [&str; 10] = [
     "/trend?tool=demo%20die",
     "/reports/a.html",
     "/metrics",
+    "/users",
 ];
 
 fn plant() -> Command {
@@ -82,7 +85,7 @@ impl Station {
             .unwrap();
         let mut printed = Printed::of(&mut child);
         Plant {
-            page: printed.address("page     http://"),
+            page: printed.address("page     http"),
             modbus: printed.address("modbus"),
             token: self.token.clone(),
             process: Killed(child),
@@ -107,6 +110,7 @@ impl Printed {
 
     fn address(&mut self, words: &str) -> SocketAddr {
         let said = self.after(words);
+        let said = said.trim_start_matches('s').trim_start_matches("://");
         said.trim_end_matches('/').parse().unwrap()
     }
 }
@@ -408,6 +412,387 @@ fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(line.process.0.wait().unwrap().success());
     assert!(!folder.exists());
+}
+
+/// Processes that this one started, and theirs.
+fn descendants(of: u32) -> Vec<u32> {
+    let entries = std::fs::read_dir("/proc").unwrap().flatten();
+    let parents = entries.filter_map(|entry| {
+        let id: u32 = entry.file_name().to_str()?.parse().ok()?;
+        Some((id, stat(id)?.1))
+    });
+    let parents: Vec<(u32, u32)> = parents.collect();
+    let mut found = vec![of];
+    let mut at = 0;
+    while let Some(&parent) = found.get(at) {
+        found.extend(parents.iter().filter(|of| of.1 == parent).map(|of| of.0));
+        at += 1;
+    }
+    found.split_off(1)
+}
+
+/// State and parent of a process (proc_pid_stat(5)).
+fn stat(process: u32) -> Option<(char, u32)> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let (_, rest) = stat.rsplit_once(") ")?;
+    let mut fields = rest.split(' ');
+    Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
+}
+
+#[test]
+fn a_line_that_is_killed_outright_leaves_nothing_that_runs() {
+    let mut child = plant()
+        .arg("demo-line")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut printed = Printed::of(&mut child);
+    printed.after("token");
+    let folder = PathBuf::from(printed.after("folder"));
+    let mut line = Killed(child);
+    let end = Instant::now() + Duration::from_secs(60);
+    // The watch and the bench that it started.
+    let started = loop {
+        let started = descendants(line.0.id());
+        if started.len() >= 2 {
+            break started;
+        }
+        assert!(Instant::now() < end, "{started:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    line.0.kill().unwrap();
+    line.0.wait().unwrap();
+    let end = Instant::now() + Duration::from_secs(20);
+    let runs = |process: &u32| stat(*process).is_some_and(|(state, _)| state != 'Z');
+    while started.iter().any(runs) {
+        assert!(Instant::now() < end, "{started:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    // No process of its own was left that could have removed it.
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn an_admin_gives_and_revokes_tokens_which_count_at_once() {
+    let station = Station::new(3600);
+    assert_eq!(station.check(&["--wear", "40:left:80"]), 1);
+    let users = station.folder.path().join("users.toml");
+    let chief = printed(&["token", "Chief", "--role", "admin", "--users"], &users);
+    let screen = printed(&["token", "screen", "--users"], &users);
+    let plant = station.serve();
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    let admin = bearer(&chief);
+    // Who only looks or acknowledges neither sees nor changes anything here.
+    for token in [&screen, &station.token] {
+        let other = bearer(token);
+        assert_eq!(plant.get("/users", &other).status, 403);
+        assert_eq!(
+            plant.post("/users", &other, "name=a&role=admin").status,
+            403
+        );
+        assert_eq!(
+            plant.post("/users/revoke", &other, "name=Chief").status,
+            403
+        );
+    }
+    // Neither does another site's page with an admin's cookie.
+    let elsewhere = format!("{admin}Origin: https://evil.example\r\n");
+    assert_eq!(
+        plant.post("/users", &elsewhere, "name=a&role=admin").status,
+        403
+    );
+    assert_eq!(
+        plant
+            .post("/users/revoke", &elsewhere, "name=screen")
+            .status,
+        403
+    );
+    let text = || std::fs::read_to_string(&users).unwrap();
+    assert!(text().contains("\"screen\"") && !text().contains("\"a\""));
+
+    let page = plant.get("/users", &admin).text;
+    for part in [
+        "Chief (you)",
+        "<td class=\"text\">acknowledge</td>",
+        "Anna",
+        "20",
+    ] {
+        assert!(page.contains(part), "no {part} in {page}");
+    }
+    assert!(!page.contains(&chief) && !page.contains("token_blake3"));
+    let german = plant.get("/users", &format!("{admin}Accept-Language: de\r\n"));
+    assert!(german.text.contains("Token ausstellen"), "{}", german.text);
+    assert!(plant.get("/", &admin).text.contains("href=\"/users\""));
+    assert!(!plant.with_token("/").text.contains("href=\"/users\""));
+
+    // Given: shown once, good at once, and only its hash is kept.
+    let given = plant.post("/users", &admin, "name=Bert&role=acknowledge");
+    assert_eq!(given.status, 200);
+    let token = given.text.split("<code>").nth(1).unwrap();
+    let token = token.split('<').next().unwrap().to_owned();
+    assert_eq!(token.len(), 64);
+    assert!(!plant.get("/users", &admin).text.contains(&token));
+    assert!(text().contains("\"Bert\"") && !text().contains(&token));
+    let mode = std::fs::metadata(&users).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o600);
+    assert_eq!(plant.get("/board", &bearer(&token)).status, 200);
+    plant.board_with("is not acknowledged");
+    let form = "check=1&reason=a";
+    assert_eq!(
+        plant.post("/acknowledge", &bearer(&token), form).status,
+        303
+    );
+    for (form, status) in [
+        ("name=Bert&role=view", 409),
+        ("name=+&role=view", 422),
+        ("name=a%2Fb&role=view", 422),
+        ("name=c&role=king", 422),
+    ] {
+        assert_eq!(plant.post("/users", &admin, form).status, status, "{form}");
+    }
+
+    // Revoked: good for nothing at once.
+    assert_eq!(plant.post("/users/revoke", &admin, "name=Bert").status, 303);
+    assert_eq!(plant.get("/board", &bearer(&token)).status, 401);
+    assert_eq!(plant.post("/users/revoke", &admin, "name=Bert").status, 404);
+    let last = plant.post("/users/revoke", &admin, "name=Chief");
+    assert!(
+        last.status == 409 && last.text.contains("last one"),
+        "{}",
+        last.text
+    );
+    assert_eq!(plant.get("/users", &admin).status, 200);
+
+    // A file that was made read-only, and an admin whose line somebody took out of it.
+    let writable = std::fs::metadata(&users).unwrap().permissions();
+    std::fs::set_permissions(&users, Permissions::from_mode(0o400)).unwrap();
+    let refused = plant.post("/users/revoke", &admin, "name=screen");
+    assert!(
+        refused.status == 503 && refused.text.contains("read-only"),
+        "{}",
+        refused.text
+    );
+    std::fs::set_permissions(&users, writable).unwrap();
+    assert_eq!(plant.get("/board", &bearer(&screen)).status, 200);
+    std::fs::write(
+        &users,
+        text().replace("role = \"admin\"", "role = \"view\""),
+    )
+    .unwrap();
+    assert_eq!(
+        plant.post("/users/revoke", &admin, "name=screen").status,
+        403
+    );
+    assert_eq!(plant.get("/users", &admin).status, 403);
+}
+
+#[cfg(feature = "tls")]
+fn openssl(folder: &Path, arguments: &str) {
+    let mut command = Command::new("openssl");
+    command.args(arguments.split(' ')).current_dir(folder);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+}
+
+#[cfg(feature = "tls")]
+#[test]
+fn a_page_with_a_certificate_speaks_tls_alone_to_clients_that_verify_it() {
+    if flankscope_test_requisites::openssl().is_none() {
+        return;
+    }
+    let station = Station::new(3600);
+    assert_eq!(station.check(&[]), 0);
+    let folder = station.folder.path();
+    let new = "-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2";
+    for name in ["plant", "other"] {
+        openssl(
+            folder,
+            &format!("req -x509 {new} -keyout {name}.key -out {name}.pem -subj /CN={name}"),
+        );
+    }
+    openssl(
+        folder,
+        &format!("req {new} -keyout press7.key -out press7.csr -subj /CN=press7"),
+    );
+    std::fs::write(
+        folder.join("names"),
+        "subjectAltName=DNS:press7.example.org\n",
+    )
+    .unwrap();
+    let sign =
+        "x509 -req -in press7.csr -CA plant.pem -CAkey plant.key -CAcreateserial -extfile names";
+    openssl(folder, &format!("{sign} -out press7.pem -days 2"));
+    // Valid for this second.
+    openssl(folder, &format!("{sign} -out old.pem -days 0"));
+    let settings = |listen: &str, more: &str| {
+        let text = format!(
+            "history = \"press.db\"\nstale_after_s = 3600\n\n[page]\nlisten = \"{listen}\"\nusers = \"users.toml\"\n{more}\n\n\
+             [modbus]\nlisten = \"127.0.0.1:0\"\n"
+        );
+        std::fs::write(folder.join("plant.toml"), text).unwrap();
+    };
+    let refused = |said: &str| {
+        let output = plant()
+            .arg("serve")
+            .arg(folder.join("plant.toml"))
+            .output()
+            .unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            output.status.code() == Some(3) && error.contains(said),
+            "{error}"
+        );
+    };
+    let name = "name = \"press7.example.org\"";
+    let both = "certificate = \"press7.pem\"\nkey = \"press7.key\"";
+    settings("0.0.0.0:0", name);
+    refused("tokens would cross the network in clear");
+    settings("127.0.0.1:0", "certificate = \"press7.pem\"");
+    refused("a certificate needs its `key`");
+    settings("0.0.0.0:0", both);
+    refused("in `name`");
+    let mode = |mode| {
+        std::fs::set_permissions(folder.join("press7.key"), Permissions::from_mode(mode)).unwrap();
+    };
+    settings("0.0.0.0:0", &format!("{name}\n{both}"));
+    mode(0o644);
+    refused("press7.key: mode 644");
+    mode(0o600);
+    settings(
+        "0.0.0.0:0",
+        &format!("{name}\ncertificate = \"other.pem\"\nkey = \"press7.key\""),
+    );
+    refused("do not belong together");
+
+    settings("0.0.0.0:0", &format!("{name}\n{both}"));
+    let plant = station.serve();
+    let port = plant.page.port();
+    // What a client of others gets that asks by name, and verifies what it is shown.
+    let asked = |ca: &str, version: &str, request: &str| {
+        let mut client = Command::new("openssl")
+            .args([
+                "s_client",
+                "-quiet",
+                "-verify_return_error",
+                "-verify_hostname",
+                "press7.example.org",
+            ])
+            .args(["-servername", "press7.example.org", version, "-CAfile", ca])
+            .arg("-connect")
+            .arg(format!("127.0.0.1:{port}"))
+            .current_dir(folder)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let _may_have_ended = client.stdin.take().unwrap().write_all(request.as_bytes());
+        let output = client.wait_with_output().unwrap();
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let request = |path: &str, host: &str, more: &str| {
+        format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n")
+    };
+    let bearer = format!("Authorization: Bearer {}\r\n", station.token);
+    // The history is read soon.
+    let end = Instant::now() + Duration::from_secs(60);
+    let checks = request("/checks", "press7.example.org", &bearer);
+    while asked("plant.pem", "-tls1_3", &checks).starts_with("HTTP/1.1 503") {
+        assert!(Instant::now() < end);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    for version in ["-tls1_2", "-tls1_3"] {
+        for host in [
+            "press7.example.org".to_owned(),
+            format!("press7.example.org:{port}"),
+        ] {
+            let answer = asked("plant.pem", version, &request("/checks", &host, &bearer));
+            assert!(
+                answer.starts_with("HTTP/1.1 200") && answer.contains("/checks/1"),
+                "{answer}"
+            );
+        }
+    }
+    let healthz = request("/healthz", "press7.example.org", "");
+    assert_eq!(
+        asked("other.pem", "-tls1_3", &healthz),
+        "",
+        "a stranger's certificate"
+    );
+    assert_eq!(
+        asked("plant.pem", "-tls1_1", &healthz),
+        "",
+        "an old version"
+    );
+    let form = format!("token={}&to=%2F", station.token);
+    let login = format!(
+        "POST /login HTTP/1.1\r\nHost: press7.example.org\r\nConnection: close\r\nContent-Type: application/x-www-form-urlencoded\r\n\
+         Content-Length: {}\r\n\r\n{form}",
+        form.len()
+    );
+    let answer = asked("plant.pem", "-tls1_3", &login);
+    assert!(
+        answer.contains("HttpOnly; SameSite=Strict; Secure"),
+        "{answer}"
+    );
+    // In clear there is no answer in HTTP.
+    let mut plain = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    plain
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    plain.write_all(healthz.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    let _closed = plain.read_to_end(&mut answer);
+    assert!(!answer.starts_with(b"HTTP"), "{answer:?}");
+    // One that says nothing is closed in time.
+    let mut silent = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    silent
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    let begin = Instant::now();
+    assert_eq!(silent.read(&mut [0]).unwrap_or(0), 0);
+    assert!(
+        begin.elapsed() < Duration::from_secs(15),
+        "{:?}",
+        begin.elapsed()
+    );
+    drop(plant);
+
+    // An expired certificate is served, and named.
+    settings(
+        "127.0.0.1:0",
+        &format!("{name}\ncertificate = \"old.pem\"\nkey = \"press7.key\""),
+    );
+    let mut command = self::plant();
+    command
+        .arg("serve")
+        .arg(folder.join("plant.toml"))
+        .stdout(Stdio::null());
+    let mut old = Killed(command.stderr(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(old.0.stderr.take().unwrap()).lines();
+    let said = lines
+        .find(|line| line.as_ref().unwrap().contains("old.pem"))
+        .unwrap()
+        .unwrap();
+    assert!(said.contains("this certificate expired at 20"), "{said}");
+}
+
+#[cfg(not(feature = "tls"))]
+#[test]
+fn a_certificate_is_refused_by_a_program_without_tls() {
+    let station = Station::new(3600);
+    let file = station.folder.path().join("plant.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let users = "users = \"users.toml\"";
+    let both = format!("{users}\ncertificate = \"a.pem\"\nkey = \"a.key\"");
+    std::fs::write(&file, text.replace(users, &both)).unwrap();
+    let output = plant().arg("serve").arg(file).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(3) && error.contains("--features tls"),
+        "{error}"
+    );
 }
 
 #[test]

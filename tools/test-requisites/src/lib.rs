@@ -18,6 +18,9 @@ pub const OPCUA_CLIENTS: &str = "target/opcua-clients/bin/python";
 /// Where [`lake_readers`] looks, from the repository.
 pub const LAKE_READERS: &str = "target/lake-readers/bin/python";
 
+/// Where [`dfq_reader`] looks, from the repository.
+pub const DFQ_READER: &str = "target/dfq-reader/bin/python";
+
 /// Where Debian's broker is, which is no program for users.
 pub const MOSQUITTO: &str = "/usr/sbin/mosquitto";
 
@@ -193,6 +196,15 @@ pub fn prometheus() -> Option<PathBuf> {
     on_path(PROMETHEUS).or_else(|| missed(PROMETHEUS))
 }
 
+/// OpenSSL's program, which makes certificates and speaks TLS.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn openssl() -> Option<PathBuf> {
+    on_path("openssl").or_else(|| missed("openssl"))
+}
+
 /// Names of the browser whose engine draws the pages in tests.
 pub const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
 
@@ -257,6 +269,36 @@ pub fn lake_readers() -> Option<PathBuf> {
     match python.is_file() {
         true => Some(python),
         false => missed(&format!("{LAKE_READERS} (tools/peers/README.md)")),
+    }
+}
+
+/// Python with another's reader of DFQ files.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn dfq_reader() -> Option<PathBuf> {
+    let python = workspace().join(DFQ_READER);
+    match python.is_file() {
+        true => Some(python),
+        false => missed(&format!("{DFQ_READER} (tools/peers/README.md)")),
+    }
+}
+
+/// The published schema of QIF 3.0, whose folder `FLANKSCOPE_QIF_XSD` names, and a validator. No package brings the schema, so a test may miss
+/// it even where everything must run.
+#[must_use]
+pub fn qif_schema() -> Option<(PathBuf, PathBuf)> {
+    let folder = std::env::var_os("FLANKSCOPE_QIF_XSD").map(PathBuf::from);
+    let schema = folder.map(|folder| folder.join("QIFApplications/QIFDocument.xsd"));
+    match (schema, on_path("xmllint")) {
+        (Some(schema), Some(xmllint)) if schema.is_file() => Some((schema, xmllint)),
+        (schema, xmllint) => {
+            eprintln!(
+                "SKIPPED: not validated by the published schema: FLANKSCOPE_QIF_XSD names {schema:?}, xmllint is {xmllint:?}"
+            );
+            None
+        }
     }
 }
 

@@ -203,11 +203,11 @@ fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
         true => &[
             "--features",
-            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua",
+            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua,flankscope-plant/parquet,flankscope-plant/tls",
         ],
         false => &[
             "--features",
-            "flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua",
+            "flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua,flankscope-plant/parquet,flankscope-plant/tls",
         ],
     }
 }

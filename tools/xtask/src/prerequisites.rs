@@ -3,8 +3,7 @@
 use std::path::Path;
 
 use flankscope_test_requisites::{
-    BROWSERS, MOSQUITTO, MQTT_CLIENTS, OPCUA_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis,
-    on_path,
+    BROWSERS, DFQ_READER, MOSQUITTO, MQTT_CLIENTS, OPCUA_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis, on_path,
 };
 
 use crate::{firmware, python};
@@ -106,6 +105,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the plant's OPC UA server asked by another's client (asyncua)",
             needs: OPCUA_CLIENTS,
             how: "python3 -m venv target/opcua-clients && target/opcua-clients/bin/pip install --no-deps -r tools/peers/opcua-clients.txt",
+        });
+    }
+    if !root.join(DFQ_READER).is_file() {
+        missing.push(Missing {
+            what: "the plant's DFQ files read by another's reader (aqdefreader)",
+            needs: DFQ_READER,
+            how: "python3 -m venv target/dfq-reader && target/dfq-reader/bin/pip install --no-deps -r tools/peers/dfq-reader.txt",
         });
     }
     missing

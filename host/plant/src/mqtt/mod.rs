@@ -29,7 +29,7 @@ use jiff::Timestamp;
 use tokio::sync::watch;
 
 use crate::access::require_private;
-use crate::history::{HistoryFile, id_of};
+use crate::history::{HistoryFile, check_id};
 use crate::settings::{MqttSettings, Settings};
 use crate::standing::Standing;
 use broker::{Broker, Dial, Login};
@@ -235,7 +235,7 @@ fn next_in(
     let (history, _) = file.verified()?;
     let read = |number| -> Result<(Check, String), HistoryError> {
         let check = history.check(number)?;
-        let id = id_of(&check, &history.document(number)?);
+        let id = check_id(&check, &history.document(number)?);
         Ok((check, id))
     };
     // Another history stands here, or an older copy of this one: all of it is sent, and receivers know what they have.

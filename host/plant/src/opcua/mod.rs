@@ -68,7 +68,7 @@ const PRUNE_EVERY: Duration = Duration::from_secs(2);
 /// The server, before it listens.
 pub struct OpcuaServer {
     host: String,
-    users: Arc<Users>,
+    users: UsersFile,
     certificates: Certificates,
     acknowledging: Acknowledging,
     standing: watch::Receiver<Arc<Standing>>,
@@ -86,12 +86,14 @@ impl OpcuaServer {
         standing: watch::Receiver<Arc<Standing>>,
     ) -> anyhow::Result<Self> {
         let ip = of.listen.ip();
+        // Refused now, not at the first login.
+        Users::load(&of.users)?;
         let host = of.name.clone().unwrap_or_else(|| ip.to_string());
         let certificates = Certificates::prepare(&of.certificates, &host, ip.is_loopback())?;
         tracing::info!("opcua: own certificate {}", certificates.thumbprint()?);
         Ok(Self {
             host,
-            users: Arc::new(Users::load(&of.users)?),
+            users: UsersFile(of.users.clone()),
             certificates,
             acknowledging: Acknowledging {
                 history: settings.history.clone(),
@@ -153,7 +155,7 @@ impl OpcuaServer {
     }
 
     fn build(&self, address: SocketAddr) -> anyhow::Result<(Server, ServerHandle)> {
-        let (users, acknowledging) = (Arc::clone(&self.users), self.acknowledging.clone());
+        let (users, acknowledging) = (self.users.clone(), self.acknowledging.clone());
         let nodes = move |context: ServerContext, space: &mut AddressSpace| {
             PlantNodes::new(&context, space, users, acknowledging)
         };
@@ -192,7 +194,7 @@ impl OpcuaServer {
             .receive_buffer_size(gate::MOST_CHUNK)
             .send_buffer_size(gate::MOST_CHUNK)
             .diagnostics_enabled(false)
-            .with_authenticator(Arc::new(UsersFile(Arc::clone(&self.users))))
+            .with_authenticator(Arc::new(self.users.clone()))
             .with_node_manager(InMemoryNodeManagerBuilder::new(nodes));
         for (name, policy) in [
             ("basic256sha256", SecurityPolicy::Basic256Sha256),

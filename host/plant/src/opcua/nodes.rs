@@ -18,7 +18,7 @@ use opcua::types::{
 
 use super::space::{DEVICES, Kind, MACHINERY, Names, Node};
 use super::types::{self, NAMESPACE, Types};
-use crate::access::{User, Users};
+use crate::access::User;
 use crate::acknowledge::{Acknowledging, Refused};
 
 /// The server's holder of this program's nodes.
@@ -31,7 +31,7 @@ pub type Shown = BTreeMap<String, Node>;
 pub struct PlantNodes {
     pub names: Names,
     namespaces: Vec<NamespaceMetadata>,
-    users: Arc<Users>,
+    users: UsersFile,
     acknowledging: Acknowledging,
     /// Tools by the text of their method's identifier.
     tools: RwLock<BTreeMap<String, String>>,
@@ -42,7 +42,7 @@ impl PlantNodes {
     pub fn new(
         context: &ServerContext,
         space: &mut AddressSpace,
-        users: Arc<Users>,
+        users: UsersFile,
         acknowledging: Acknowledging,
     ) -> Self {
         let mut namespaces = Vec::new();
@@ -127,9 +127,9 @@ impl InMemoryNodeManagerImpl for PlantNodes {
         _space: &RwLock<AddressSpace>,
         methods_to_call: &mut [&mut &mut MethodCall],
     ) -> Result<(), StatusCode> {
-        let user = self.users.named(&context.user_token().0);
+        let user = self.users.find(|users| users.named(&context.user_token().0));
         for call in methods_to_call {
-            let done = match user {
+            let done = match &user {
                 Some(user) => self.acknowledge(user, call).await,
                 None => Err(StatusCode::BadUserAccessDenied),
             };

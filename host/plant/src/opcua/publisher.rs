@@ -17,7 +17,7 @@ use super::events::CheckEvent;
 use super::nodes::{Manager, Shown, show};
 use super::space::{self, Node};
 use super::types::Types;
-use crate::history::{HistoryFile, id_of};
+use crate::history::{HistoryFile, check_id};
 use crate::standing::{Standing, ToolStanding};
 
 /// How often it looks whether a verdict grew too old.
@@ -113,7 +113,7 @@ impl Publisher {
             let mut ids = Vec::new();
             for tool in &standing.tools {
                 let number = tool.last.id;
-                ids.push((number, id_of(&tool.last, &history.document(number)?)));
+                ids.push((number, check_id(&tool.last, &history.document(number)?)));
             }
             Ok(ids)
         };
@@ -128,7 +128,7 @@ impl Publisher {
     fn tell(&mut self) -> Result<(), HistoryError> {
         let (history, _) = self.history.verified()?;
         let id = |number: i64| -> Result<String, HistoryError> {
-            Ok(id_of(&history.check(number)?, &history.document(number)?))
+            Ok(check_id(&history.check(number)?, &history.document(number)?))
         };
         let newest = || -> Result<(i64, String), HistoryError> {
             match history.listed(None, None, None, 1)?.pop() {
@@ -159,18 +159,18 @@ impl Publisher {
                 break;
             };
             let check = history.check(next)?;
-            let check_id = id(next)?;
+            let id = id(next)?;
             let names = self.manager.inner().names;
             let tool = space::tool_id(names, &check.tool);
             let types = Types {
                 namespace: names.own,
             };
-            let event = CheckEvent::new(types, &check, &check_id, &tool);
+            let event = CheckEvent::new(types, &check, &id, &tool);
             // Told of a tool, the server tells it itself, too.
             let told: [(&dyn Event, &NodeId); 1] = [(&event, &tool)];
             self.handle.subscriptions().notify_events(told.into_iter());
             number = next;
-            self.told = Some((next, check_id));
+            self.told = Some((next, id));
         }
         Ok(())
     }

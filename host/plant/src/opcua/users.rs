@@ -1,6 +1,6 @@
 //! Who comes in: a name of the users' file with its token as password. Nobody comes in anonymously.
 
-use std::sync::Arc;
+use std::path::PathBuf;
 
 use async_trait::async_trait;
 use opcua::server::ServerEndpoint;
@@ -9,10 +9,24 @@ use opcua::server::authenticator::{
 };
 use opcua::types::{Error, NodeId, StatusCode, UAString, UserTokenPolicy, UserTokenType};
 
-use crate::access::{Role, Users};
+use crate::access::{User, Users};
 
-/// Asks the users' file.
-pub struct UsersFile(pub Arc<Users>);
+/// The users' file, read anew for every login and every call that changes something: what an admin revoked is good for nothing.
+#[derive(Clone)]
+pub struct UsersFile(pub PathBuf);
+
+impl UsersFile {
+    /// The first of its users that is meant; none if the file cannot be read.
+    pub fn find(&self, meant: impl FnOnce(&Users) -> Option<&User>) -> Option<User> {
+        match Users::load(&self.0) {
+            Ok(users) => meant(&users).cloned(),
+            Err(error) => {
+                tracing::warn!("opcua: {error}");
+                None
+            }
+        }
+    }
+}
 
 #[async_trait]
 impl AuthManager for UsersFile {
@@ -22,7 +36,7 @@ impl AuthManager for UsersFile {
         username: &str,
         password: &Password,
     ) -> Result<UserToken, Error> {
-        let user = self.0.of_token(password.get());
+        let user = self.find(|users| users.of_token(password.get()));
         match user.filter(|user| user.name == username) {
             Some(user) => {
                 tracing::info!("{} came in by OPC UA", user.name);
@@ -49,7 +63,7 @@ impl AuthManager for UsersFile {
 
     /// The standard's own methods are for everybody, those of this server change something.
     fn is_user_executable(&self, token: &UserToken, method_id: &NodeId) -> bool {
-        let user = self.0.named(&token.0);
-        method_id.namespace == 0 || user.is_some_and(|user| user.role == Role::Acknowledge)
+        let user = || self.find(|users| users.named(&token.0));
+        method_id.namespace == 0 || user().is_some_and(|user| user.role.acknowledges())
     }
 }

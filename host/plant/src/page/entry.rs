@@ -1,7 +1,7 @@
 //! Who comes in. A browser keeps the token in a cookie that scripts cannot read and other sites cannot send; a program sends it as
 //! `Authorization: Bearer TOKEN`.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
 use askama::Template;
@@ -30,6 +30,17 @@ const HEADERS: [(HeaderName, &str); 5] = [
     (header::CACHE_CONTROL, "no-store"),
 ];
 
+/// Port that a browser leaves out.
+const HTTPS: u16 = 443;
+
+/// An address as a browser spells it.
+fn host_of(ip: IpAddr) -> String {
+    match ip {
+        IpAddr::V4(ip) => ip.to_string(),
+        IpAddr::V6(ip) => format!("[{ip}]"),
+    }
+}
+
 /// Names under which this site is reached. A page of another site whose name was pointed at this address is refused.
 #[derive(Debug)]
 pub struct Names {
@@ -39,12 +50,20 @@ pub struct Names {
 }
 
 impl Names {
-    pub fn new(address: SocketAddr, name: Option<&str>) -> Self {
+    /// A page at `address`, which browsers reach under `name` if there is one; `encrypts` if it does so itself.
+    pub fn new(address: SocketAddr, name: Option<&str>, encrypts: bool) -> Self {
         let mut hosts = vec![address.to_string(), format!("localhost:{}", address.port())];
         hosts.extend(name.map(str::to_owned));
+        if encrypts {
+            // No proxy takes the port away; browsers leave out the usual one.
+            hosts.extend(name.map(|name| format!("{name}:{}", address.port())));
+            if address.port() == HTTPS {
+                hosts.extend(["localhost".into(), host_of(address.ip())]);
+            }
+        }
         Self {
             hosts,
-            tls: name.is_some(),
+            tls: encrypts || name.is_some(),
         }
     }
 
@@ -83,7 +102,7 @@ pub async fn with_token(
     next: Next,
 ) -> Response {
     let user = token(request.headers()).and_then(|token| site.users.of_token(token));
-    if let Some(user) = user.cloned() {
+    if let Some(user) = user {
         request.extensions_mut().insert(user);
         return next.run(request).await;
     }

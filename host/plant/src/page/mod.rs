@@ -4,11 +4,13 @@
 //! | file | holds |
 //! |---|---|
 //! | `entry` | who comes in: token, host name, headers of every answer |
+//! | `users` | who has a token: seen, given and revoked by an admin |
 //! | `language` | English or German, as the browser wants |
 //! | `views` | what the templates show |
 
 mod entry;
 mod language;
+mod users;
 mod views;
 
 use std::convert::Infallible;
@@ -35,15 +37,16 @@ use tokio::time::interval;
 use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
-use crate::access::{Role, User, Users};
+use crate::access::{Role, User, Users, UsersError};
 use crate::acknowledge::{Acknowledging, MOST_REASON, Refused};
 use crate::history::HistoryFile;
 use crate::live::Live;
 use crate::metrics;
 use crate::settings::Settings;
 use crate::standing::Standing;
-use entry::Names;
+pub use entry::Names;
 use language::Language;
+pub use users::UsersFile;
 use views::{Board, CheckPage, List};
 
 /// Checks on one page of the list.
@@ -56,7 +59,7 @@ const TICK: Duration = Duration::from_secs(5);
 /// What the routes share.
 #[derive(Debug)]
 pub struct Site {
-    users: Users,
+    users: UsersFile,
     names: Names,
     reports: Option<PathBuf>,
     standing: watch::Receiver<Arc<Standing>>,
@@ -67,17 +70,17 @@ pub struct Site {
 }
 
 impl Site {
-    /// A site that is reached at `address`, and under `name` through a proxy with TLS.
+    /// A site that is reached under these names.
     pub fn new(
         settings: &Settings,
-        (address, name): (std::net::SocketAddr, Option<&str>),
-        users: Users,
+        names: Names,
+        users: UsersFile,
         seals: Seals,
         (standing, live): (watch::Receiver<Arc<Standing>>, watch::Receiver<Live>),
     ) -> Self {
         Self {
             users,
-            names: Names::new(address, name),
+            names,
             reports: settings.reports.clone(),
             standing,
             live,
@@ -115,6 +118,9 @@ enum Failed {
     NotThere,
     /// The token's role does not acknowledge.
     NotAllowed,
+    /// The token's role does not give or revoke tokens.
+    NoAdmin,
+    Users(UsersError),
     /// An acknowledgement without a usable reason.
     NoReason,
     /// No unacknowledged no-go has this number: a newer one stands, or somebody was faster.
@@ -142,6 +148,12 @@ impl From<Refused> for Failed {
     }
 }
 
+impl From<UsersError> for Failed {
+    fn from(error: UsersError) -> Self {
+        Self::Users(error)
+    }
+}
+
 impl From<askama::Error> for Failed {
     fn from(error: askama::Error) -> Self {
         Self::Because(error.to_string())
@@ -163,6 +175,19 @@ impl IntoResponse for Failed {
                 "this token may look, not acknowledge\n",
             )
                 .into_response(),
+            Self::NoAdmin => {
+                let why = "this takes a token with the role admin\n";
+                (StatusCode::FORBIDDEN, why).into_response()
+            }
+            Self::Users(error) => {
+                let status = match &error {
+                    UsersError::NoName { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+                    UsersError::Unknown { .. } => StatusCode::NOT_FOUND,
+                    UsersError::Known { .. } | UsersError::LastAdmin { .. } => StatusCode::CONFLICT,
+                    _ => StatusCode::SERVICE_UNAVAILABLE,
+                };
+                (status, format!("{error}\n")).into_response()
+            }
             Self::NoReason => {
                 let why = format!("a reason of 1 to {MOST_REASON} characters is needed\n");
                 (StatusCode::UNPROCESSABLE_ENTITY, why).into_response()
@@ -194,6 +219,8 @@ pub fn routes(site: Arc<Site>) -> Router {
         .route("/reports/{page}", get(report))
         .route("/metrics", get(scraped))
         .route("/acknowledge", post(acknowledge))
+        .route("/users", get(users::shown).post(users::given))
+        .route("/users/revoke", post(users::revoked))
         .layer(middleware::from_fn_with_state(
             Arc::clone(&site),
             entry::with_token,
@@ -248,6 +275,7 @@ async fn home(
         board,
         now,
         has_map3d: has_map3d.unwrap_or(false),
+        is_admin: user.role == Role::Admin,
     };
     Ok(Html(home.render()?))
 }
@@ -270,11 +298,10 @@ fn now_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
 }
 
 fn board_now(site: &Site, user: &User, lang: Language) -> Result<String, askama::Error> {
-    let acknowledges = user.role == Role::Acknowledge;
     Board::new(
         &site.standing.borrow(),
         Timestamp::now(),
-        acknowledges,
+        user.role.acknowledges(),
         lang,
     )
     .render()

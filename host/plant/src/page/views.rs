@@ -11,7 +11,9 @@ use flankscope_report::figure;
 use jiff::Timestamp;
 
 use super::language::Language;
+use crate::access::{Role, User};
 use crate::live::Live;
+use crate::percent;
 use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
 /// Name of the newest check's maps in space.
@@ -37,6 +39,26 @@ pub struct Home {
     pub now: String,
     /// Whether there are maps in space.
     pub has_map3d: bool,
+    /// Whether its reader gives and revokes tokens.
+    pub is_admin: bool,
+}
+
+/// Who has a token.
+#[derive(Template)]
+#[template(path = "users.html")]
+pub struct UsersPage<'a> {
+    pub lang: Language,
+    pub users: &'a [User],
+    /// The reader's own name.
+    pub own: &'a str,
+    /// Name and token of somebody who was just given one: shown this once.
+    pub given: Option<(&'a str, &'a str)>,
+}
+
+impl UsersPage<'_> {
+    fn roles(&self) -> [Role; 3] {
+        [Role::View, Role::Acknowledge, Role::Admin]
+    }
 }
 
 /// What a watch does now.
@@ -128,7 +150,7 @@ impl Board {
             };
             Tile {
                 tool: last.tool.clone(),
-                query: query(&last.tool),
+                query: percent::encoded(&last.tool),
                 badge,
                 word,
                 not_counting,
@@ -204,19 +226,6 @@ fn wear(flank: &FlankRow) -> String {
     }
 }
 
-/// A text as the value of a query.
-fn query(text: &str) -> String {
-    let mut out = String::new();
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
-            out.push(char::from(byte));
-        } else {
-            out += &format!("%{byte:02X}");
-        }
-    }
-    out
-}
-
 /// The list of checks.
 #[derive(Template)]
 #[template(path = "checks.html")]
@@ -248,7 +257,10 @@ impl List {
         let verdict = self
             .verdict
             .map_or_else(String::new, |word| format!("&verdict={word}"));
-        format!("checks?tool={}{verdict}&before={before}", query(&self.tool))
+        format!(
+            "checks?tool={}{verdict}&before={before}",
+            percent::encoded(&self.tool)
+        )
     }
 }
 

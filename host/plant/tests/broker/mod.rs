@@ -14,7 +14,7 @@ use flankscope_test_requisites::{Random, mqtt_peers, workspace};
 use flankscope_tests::Killed;
 use serde_json::Value;
 
-use crate::press::{AT_MOST, Plant, free_port, lines_of, wait_for};
+use crate::process::{AT_MOST, Plant, free_port, lines_of, wait_for};
 
 /// A folder with a history, a broker, and the settings of a plant that sends to it.
 pub struct Station {

@@ -1,0 +1,147 @@
+//! Who has a token: an admin sees it, gives new ones and revokes old ones. The file is the truth: every change reads it, writes it whole, and
+//! counts from then on.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+
+use askama::Template;
+use axum::extract::{Extension, Form, State};
+use axum::response::{Html, Redirect};
+use serde::Deserialize;
+
+use super::language::Language;
+use super::views::UsersPage;
+use super::{Failed, Shown, Site};
+use crate::access::{Role, User, Users, UsersError};
+
+/// The file of users, and what was last read of it.
+#[derive(Debug)]
+pub struct UsersFile {
+    path: PathBuf,
+    users: RwLock<Arc<Users>>,
+    /// One change at a time.
+    change: Mutex<()>,
+}
+
+impl UsersFile {
+    /// Reads a file with at least one user.
+    ///
+    /// # Errors
+    /// It cannot be read, others can read it, or it names nobody.
+    pub fn load(path: &Path) -> Result<Self, UsersError> {
+        Ok(Self {
+            path: path.into(),
+            users: RwLock::new(Arc::new(Users::load(path)?)),
+            change: Mutex::new(()),
+        })
+    }
+
+    /// Whose token it is.
+    pub fn of_token(&self, token: &str) -> Option<User> {
+        self.current().of_token(token).cloned()
+    }
+
+    fn current(&self) -> Arc<Users> {
+        let users = self.users.read().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(&users)
+    }
+
+    /// Changes the file, and reads it anew. Whose role was taken away in the file meanwhile changes nothing.
+    fn changed<T>(
+        &self,
+        user: &User,
+        change: impl FnOnce(&Path) -> Result<T, UsersError>,
+    ) -> Result<T, Failed> {
+        let _one = self.change.lock().unwrap_or_else(PoisonError::into_inner);
+        self.reload()?;
+        let now = self.current();
+        let now = now.all().iter().find(|now| now.name == user.name);
+        require_admin(now.ok_or(Failed::NoAdmin)?)?;
+        let done = change(&self.path)?;
+        self.reload()?;
+        Ok(done)
+    }
+
+    fn reload(&self) -> Result<(), UsersError> {
+        let users = Arc::new(Users::load(&self.path)?);
+        *self.users.write().unwrap_or_else(PoisonError::into_inner) = users;
+        Ok(())
+    }
+}
+
+/// Changes the file where it holds up nobody, if the user may.
+async fn change<T: Send + 'static>(
+    site: &Arc<Site>,
+    user: &User,
+    change: impl FnOnce(&Path) -> Result<T, UsersError> + Send + 'static,
+) -> Result<T, Failed> {
+    require_admin(user)?;
+    let (site, user) = (Arc::clone(site), user.clone());
+    tokio::task::spawn_blocking(move || site.users.changed(&user, change)).await?
+}
+
+fn require_admin(user: &User) -> Result<(), Failed> {
+    match user.role {
+        Role::Admin => Ok(()),
+        Role::View | Role::Acknowledge => Err(Failed::NoAdmin),
+    }
+}
+
+fn page(site: &Site, lang: Language, user: &User, given: Option<(&str, &str)>) -> Shown {
+    let users = site.users.current();
+    let page = UsersPage {
+        lang,
+        users: users.all(),
+        own: &user.name,
+        given,
+    };
+    Ok(Html(page.render()?))
+}
+
+/// Names, roles, and since when.
+pub async fn shown(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    lang: Language,
+) -> Shown {
+    require_admin(&user)?;
+    page(&site, lang, &user, None)
+}
+
+#[derive(Deserialize)]
+pub struct New {
+    name: String,
+    role: Role,
+}
+
+/// Gives a token, which the answer shows and nothing keeps.
+pub async fn given(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    lang: Language,
+    Form(New { name, role }): Form<New>,
+) -> Shown {
+    let name = name.trim().to_owned();
+    let new = name.clone();
+    let token = change(&site, &user, move |path| Users::add(path, &new, role)).await?;
+    let word = role.word();
+    tracing::info!("{} gave {name} a token with the role {word}", user.name);
+    page(&site, lang, &user, Some((&name, &token)))
+}
+
+#[derive(Deserialize)]
+pub struct Of {
+    name: String,
+}
+
+/// Revokes a token.
+pub async fn revoked(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+    Form(Of { name }): Form<Of>,
+) -> Result<Redirect, Failed> {
+    let of = name.clone();
+    change(&site, &user, move |path| Users::revoke(path, &of)).await?;
+    tracing::info!("{} revoked the token of {name}", user.name);
+    Ok(Redirect::to("/users"))
+}
