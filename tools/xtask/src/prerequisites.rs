@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use flankscope_test_requisites::{
-    BROWSERS, DFQ_READER, MOSQUITTO, MQTT_CLIENTS, OPCUA_CLIENTS, PROMETHEUS, STAGE_CLIENTS, has_aravis, on_path,
+    BROWSERS, DFQ_READER, MOSQUITTO, MQTT_CLIENTS, OPCUA_CLIENTS, PROMETHEUS, STAGE_CLIENTS,
+    has_aravis, on_path,
 };
 
 use crate::{firmware, python};

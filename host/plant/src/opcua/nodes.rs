@@ -127,7 +127,9 @@ impl InMemoryNodeManagerImpl for PlantNodes {
         _space: &RwLock<AddressSpace>,
         methods_to_call: &mut [&mut &mut MethodCall],
     ) -> Result<(), StatusCode> {
-        let user = self.users.find(|users| users.named(&context.user_token().0));
+        let user = self
+            .users
+            .find(|users| users.named(&context.user_token().0));
         for call in methods_to_call {
             let done = match &user {
                 Some(user) => self.acknowledge(user, call).await,

@@ -128,7 +128,10 @@ impl Publisher {
     fn tell(&mut self) -> Result<(), HistoryError> {
         let (history, _) = self.history.verified()?;
         let id = |number: i64| -> Result<String, HistoryError> {
-            Ok(check_id(&history.check(number)?, &history.document(number)?))
+            Ok(check_id(
+                &history.check(number)?,
+                &history.document(number)?,
+            ))
         };
         let newest = || -> Result<(i64, String), HistoryError> {
             match history.listed(None, None, None, 1)?.pop() {
