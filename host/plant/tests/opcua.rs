@@ -657,6 +657,13 @@ fn who_may_acknowledges_with_name_and_reason() {
     assert_eq!(viewer.read(&tool("other", "Latched"))["value"], true);
     let refused = anna.ask(call("die", 1, "again")).unwrap_err();
     assert!(refused.contains("BadNotFound"), "{refused}");
+    // A token that was revoked acknowledges nothing, not even in a session that stands.
+    let users = station.file("users.toml");
+    let text = std::fs::read_to_string(&users).unwrap();
+    let (others, _) = text.split_once("[[user]]\nname = \"Anna\"").unwrap();
+    std::fs::write(&users, others).unwrap();
+    let refused = anna.ask(call("other", 2, "looked")).unwrap_err();
+    assert!(refused.contains("BadUserAccessDenied"), "{refused}");
 }
 
 /// The status line of the page without a login.

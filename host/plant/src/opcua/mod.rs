@@ -86,11 +86,11 @@ impl OpcuaServer {
         standing: watch::Receiver<Arc<Standing>>,
     ) -> anyhow::Result<Self> {
         let ip = of.listen.ip();
-        // Refused now, not at the first login.
-        Users::load(&of.users)?;
         let host = of.name.clone().unwrap_or_else(|| ip.to_string());
         let certificates = Certificates::prepare(&of.certificates, &host, ip.is_loopback())?;
         tracing::info!("opcua: own certificate {}", certificates.thumbprint()?);
+        // Refused now, not at the first login.
+        Users::load(&of.users)?;
         Ok(Self {
             host,
             users: UsersFile(of.users.clone()),

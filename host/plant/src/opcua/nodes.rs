@@ -1,7 +1,6 @@
 //! The nodes as the server holds them: they are replaced by what stands, and the method that acknowledges.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use async_trait::async_trait;
 use opcua::nodes::{EventNotifier, MethodBuilder, NodeType, ObjectBuilder, VariableBuilder};
@@ -18,6 +17,7 @@ use opcua::types::{
 
 use super::space::{DEVICES, Kind, MACHINERY, Names, Node};
 use super::types::{self, NAMESPACE, Types};
+use super::users::UsersFile;
 use crate::access::User;
 use crate::acknowledge::{Acknowledging, Refused};
 

@@ -37,7 +37,7 @@ use tokio::time::interval;
 use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
-use crate::access::{Role, User, Users, UsersError};
+use crate::access::{Role, User, UsersError};
 use crate::acknowledge::{Acknowledging, MOST_REASON, Refused};
 use crate::history::HistoryFile;
 use crate::live::Live;
