@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::calibration::LENS_ERROR_UM;
 use super::chart::Frame;
 use super::runs::{self, Counts};
-use super::setup::FLANKS_UM;
+use super::setup::{FLANKS_UM, word};
 use super::staircase::{self, Profile};
 use super::tally::Share;
 use super::{Args, BlockReport, Cell, Group, Outcome, Sample, Subject};
@@ -99,16 +99,6 @@ pub(super) fn command(args: &Args) -> String {
     // Without one, the commit's.
     let seed = seed.map_or(String::new(), |seed| format!(" --seed {seed}"));
     format!("cargo xtask study{size}{seed}{head}{surface}{rows}")
-}
-
-/// Name of a surface.
-pub(super) fn word(surface: SurfaceKind) -> &'static str {
-    match surface {
-        SurfaceKind::Sprayed => "sprayed",
-        SurfaceKind::Ground => "ground",
-        SurfaceKind::Polished => "polished",
-        SurfaceKind::Oiled => "oiled",
-    }
 }
 
 struct Page<'a> {

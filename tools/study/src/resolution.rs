@@ -10,9 +10,9 @@ use flankscope_record::document::Feature;
 use super::Args;
 use super::capture::judged;
 use super::families::{LIMIT_UM, WARN_UM};
-use super::page::{command, word as surface_word};
+use super::page::command;
 use super::runs::{self, Counts};
-use super::setup::{Setup, flank, on_all_cores};
+use super::setup::{Setup, flank, on_all_cores, word as surface_word};
 use super::stand::Stand;
 use super::structure::{Plan, Section, Structure, cut};
 

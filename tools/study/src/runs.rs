@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use flankscope_foundation::files::write_whole;
 use serde::{Deserialize, Serialize};
 
-use super::page::word;
+use super::setup::word;
 use super::{Args, Subject};
 
 /// Hexadecimal digits of a commit, and how many of them make a seed.

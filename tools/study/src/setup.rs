@@ -175,3 +175,13 @@ pub(super) fn on_all_cores<T: Send>(
     all.sort_by_key(|(number, _)| *number);
     Ok(all.into_iter().map(|(_, found)| found).collect())
 }
+
+/// Name of a surface.
+pub(super) fn word(surface: SurfaceKind) -> &'static str {
+    match surface {
+        SurfaceKind::Sprayed => "sprayed",
+        SurfaceKind::Ground => "ground",
+        SurfaceKind::Polished => "polished",
+        SurfaceKind::Oiled => "oiled",
+    }
+}
