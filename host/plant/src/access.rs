@@ -147,11 +147,7 @@ impl Users {
         users.user.push(User {
             name: name.into(),
             role,
-            created: Some(
-                jiff::Timestamp::now()
-                    .strftime("%Y-%m-%dT%H:%M:%SZ")
-                    .to_string(),
-            ),
+            created: Some(flankscope_foundation::date::now()),
             token_blake3: blake3::hash(token.as_bytes()).to_hex().to_string(),
         });
         users.write(path)?;
@@ -208,7 +204,6 @@ impl Users {
     }
 
     /// The person or program of this name.
-    #[cfg(feature = "opcua")]
     pub fn named(&self, name: &str) -> Option<&User> {
         self.user.iter().find(|user| user.name == name)
     }

@@ -72,8 +72,6 @@ pub struct MqttSettings {
 /// A server of results for line controllers and plant systems.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-// Without the feature they are read in order to be refused.
-#[cfg_attr(not(feature = "opcua"), expect(dead_code))]
 pub struct OpcuaSettings {
     pub listen: SocketAddr,
     /// Name under which clients reach this machine; its own certificate carries it.

@@ -389,8 +389,8 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     assert_eq!(who, "Anna: insert changed");
 }
 
-#[test]
-fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
+/// A line to show, what it prints further, its token and its folder.
+fn demo_line() -> (Child, Printed, String, PathBuf) {
     let mut child = plant()
         .arg("demo-line")
         .stdout(Stdio::piped())
@@ -400,6 +400,12 @@ fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
     let mut printed = Printed::of(&mut child);
     let token = printed.after("token");
     let folder = PathBuf::from(printed.after("folder"));
+    (child, printed, token, folder)
+}
+
+#[test]
+fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
+    let (child, mut printed, token, folder) = demo_line();
     let mut line = Plant {
         page: printed.address("page     http://"),
         modbus: printed.address("modbus"),
@@ -441,15 +447,7 @@ fn stat(process: u32) -> Option<(char, u32)> {
 
 #[test]
 fn a_line_that_is_killed_outright_leaves_nothing_that_runs() {
-    let mut child = plant()
-        .arg("demo-line")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut printed = Printed::of(&mut child);
-    printed.after("token");
-    let folder = PathBuf::from(printed.after("folder"));
+    let (child, _printed, _, folder) = demo_line();
     let mut line = Killed(child);
     let end = Instant::now() + Duration::from_secs(60);
     // The watch and the bench that it started.

@@ -224,11 +224,7 @@ pub fn browser() -> Option<PathBuf> {
 /// It is missing although everything must run.
 #[must_use]
 pub fn stage_clients() -> Option<PathBuf> {
-    let python = workspace().join(STAGE_CLIENTS);
-    match python.is_file() {
-        true => Some(python),
-        false => missed(&format!("{STAGE_CLIENTS} (tools/peers/README.md)")),
-    }
+    environment(STAGE_CLIENTS)
 }
 
 /// Other people's MQTT broker, and Python with other people's clients.
@@ -237,13 +233,12 @@ pub fn stage_clients() -> Option<PathBuf> {
 /// One of them is missing although everything must run.
 #[must_use]
 pub fn mqtt_peers() -> Option<(PathBuf, PathBuf)> {
-    let python = workspace().join(MQTT_CLIENTS);
-    let missing = match (Path::new(MOSQUITTO).is_file(), python.is_file()) {
-        (true, true) => return Some((MOSQUITTO.into(), python)),
-        (false, _) => "mosquitto".to_owned(),
-        (_, false) => format!("{MQTT_CLIENTS} (tools/peers/README.md)"),
+    let broker = Path::new(MOSQUITTO);
+    let broker = match broker.is_file() {
+        true => broker.to_owned(),
+        false => missed("mosquitto")?,
     };
-    missed(&missing).and(None)
+    Some((broker, environment(MQTT_CLIENTS)?))
 }
 
 /// Python with other people's OPC UA client.
@@ -252,11 +247,7 @@ pub fn mqtt_peers() -> Option<(PathBuf, PathBuf)> {
 /// It is missing although everything must run.
 #[must_use]
 pub fn opcua_clients() -> Option<PathBuf> {
-    let python = workspace().join(OPCUA_CLIENTS);
-    match python.is_file() {
-        true => Some(python),
-        false => missed(&format!("{OPCUA_CLIENTS} (tools/peers/README.md)")),
-    }
+    environment(OPCUA_CLIENTS)
 }
 
 /// Python with other people's readers of Parquet, and a server that speaks S3.
@@ -265,11 +256,7 @@ pub fn opcua_clients() -> Option<PathBuf> {
 /// It is missing although everything must run.
 #[must_use]
 pub fn lake_readers() -> Option<PathBuf> {
-    let python = workspace().join(LAKE_READERS);
-    match python.is_file() {
-        true => Some(python),
-        false => missed(&format!("{LAKE_READERS} (tools/peers/README.md)")),
-    }
+    environment(LAKE_READERS)
 }
 
 /// Python with another's reader of DFQ files.
@@ -278,11 +265,7 @@ pub fn lake_readers() -> Option<PathBuf> {
 /// It is missing although everything must run.
 #[must_use]
 pub fn dfq_reader() -> Option<PathBuf> {
-    let python = workspace().join(DFQ_READER);
-    match python.is_file() {
-        true => Some(python),
-        false => missed(&format!("{DFQ_READER} (tools/peers/README.md)")),
-    }
+    environment(DFQ_READER)
 }
 
 /// The published schema of QIF 3.0, whose folder `FLANKSCOPE_QIF_XSD` names, and a validator. No package brings the schema, so a test may miss
@@ -320,6 +303,15 @@ const ARAVIS: &str = "aravis-0.8 >= 0.8.20";
 #[must_use]
 pub fn aravis() -> bool {
     has_aravis() || missed("Aravis (libaravis-dev and libusb-1.0-0-dev)").is_some()
+}
+
+/// The Python of an environment with other people's packages.
+fn environment(python: &str) -> Option<PathBuf> {
+    let there = workspace().join(python);
+    match there.is_file() {
+        true => Some(there),
+        false => missed(&format!("{python} (tools/peers/README.md)")),
+    }
 }
 
 fn missed(what: &str) -> Option<PathBuf> {

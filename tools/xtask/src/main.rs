@@ -337,22 +337,28 @@ fn study(rest: &[&str]) -> Result<(), String> {
 
 /// The commit that is checked out, and whether the sources differ from it.
 fn commit() -> String {
-    let git = |arguments: &[&str]| {
-        let output = Command::new("git")
-            .args(arguments)
-            .current_dir(root())
-            .output();
-        output
-            .ok()
-            .filter(|output| output.status.success())
-            .map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-    };
+    let git = |arguments: &[&str]| git(&root(), arguments);
     let changed = git(&["status", "--porcelain", "--untracked-files=no", ":!docs"]);
     match (git(&["rev-parse", "HEAD"]), changed) {
-        (Some(commit), Some(changed)) if changed.is_empty() => commit,
-        (Some(commit), _) => format!("{commit} with changes"),
-        (None, _) => "unknown".into(),
+        (Ok(commit), Ok(changed)) if changed.is_empty() => commit,
+        (Ok(commit), _) => format!("{commit} with changes"),
+        (Err(_), _) => "unknown".into(),
     }
+}
+
+/// What git prints, without the spaces around it.
+fn git(root: &Path, arguments: &[&str]) -> Result<String, String> {
+    let output = Command::new("git")
+        .args(arguments)
+        .current_dir(root)
+        .output()
+        .map_err(|error| format!("git: {error}"))?;
+    let printed = match output.status.success() {
+        true => Ok(&output.stdout),
+        false => Err(&output.stderr),
+    };
+    let text = |bytes: &Vec<u8>| String::from_utf8_lossy(bytes).trim().to_owned();
+    printed.map(text).map_err(text)
 }
 
 fn ci() -> Result<(), String> {

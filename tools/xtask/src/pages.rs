@@ -1,7 +1,8 @@
 //! `cargo xtask pages`: how far the code has moved on since the pages with figures were made.
 
 use std::path::Path;
-use std::process::Command;
+
+use crate::git;
 
 /// What decides about a verdict: from light to word, and the bench that it is tried on.
 const VERDICT: &[&str] = &[
@@ -80,18 +81,6 @@ fn commits_since(root: &Path, commit: &str, code: &[&str]) -> Result<usize, Stri
         root,
         &[&["rev-list", "--count", &range, "--"][..], code].concat(),
     )?;
-    let number = counted.trim().parse();
+    let number = counted.parse();
     number.map_err(|error| format!("git rev-list {range}: \"{counted}\": {error}"))
-}
-
-fn git(root: &Path, arguments: &[&str]) -> Result<String, String> {
-    let output = Command::new("git")
-        .args(arguments)
-        .current_dir(root)
-        .output()
-        .map_err(|error| format!("git: {error}"))?;
-    match output.status.success() {
-        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        false => Err(String::from_utf8_lossy(&output.stderr).into_owned()),
-    }
 }

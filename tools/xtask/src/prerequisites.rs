@@ -10,6 +10,7 @@ use flankscope_test_requisites::{
 use crate::{firmware, python};
 
 /// Something a group of tests needs and this machine lacks.
+#[derive(Clone, Copy)]
 pub struct Missing {
     /// The tests that cannot run.
     pub what: &'static str,
@@ -18,6 +19,30 @@ pub struct Missing {
     /// How to get it.
     pub how: &'static str,
 }
+
+/// Environments of Python with other people's packages: `needs` is the interpreter, below the repository.
+const ENVIRONMENTS: [Missing; 4] = [
+    Missing {
+        what: "the emulated stage controller driven by other people's clients (PyMeasure, InstrumentKit)",
+        needs: STAGE_CLIENTS,
+        how: "python3 -m venv target/stage-clients && target/stage-clients/bin/pip install --no-deps -r tools/peers/stage-clients.txt",
+    },
+    Missing {
+        what: "the plant's messages read by other people's MQTT and Sparkplug B clients (paho, pysparkplug)",
+        needs: MQTT_CLIENTS,
+        how: "python3 -m venv target/mqtt-clients && target/mqtt-clients/bin/pip install --no-deps -r tools/peers/mqtt-clients.txt",
+    },
+    Missing {
+        what: "the plant's OPC UA server asked by another's client (asyncua)",
+        needs: OPCUA_CLIENTS,
+        how: "python3 -m venv target/opcua-clients && target/opcua-clients/bin/pip install --no-deps -r tools/peers/opcua-clients.txt",
+    },
+    Missing {
+        what: "the plant's DFQ files read by another's reader (aqdefreader)",
+        needs: DFQ_READER,
+        how: "python3 -m venv target/dfq-reader && target/dfq-reader/bin/pip install --no-deps -r tools/peers/dfq-reader.txt",
+    },
+];
 
 /// Everything missing on this machine.
 pub fn missing(root: &Path) -> Vec<Missing> {
@@ -73,13 +98,6 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "apt-get install python3-venv",
         });
     }
-    if !root.join(STAGE_CLIENTS).is_file() {
-        missing.push(Missing {
-            what: "the emulated stage controller driven by other people's clients (PyMeasure, InstrumentKit)",
-            needs: STAGE_CLIENTS,
-            how: "python3 -m venv target/stage-clients && target/stage-clients/bin/pip install --no-deps -r tools/peers/stage-clients.txt",
-        });
-    }
     if !Path::new(MOSQUITTO).is_file() || on_path("openssl").is_none() {
         missing.push(Missing {
             what: "the plant's messages to another's MQTT broker",
@@ -94,26 +112,7 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "apt-get install --no-install-recommends prometheus",
         });
     }
-    if !root.join(MQTT_CLIENTS).is_file() {
-        missing.push(Missing {
-            what: "the plant's messages read by other people's MQTT and Sparkplug B clients (paho, pysparkplug)",
-            needs: MQTT_CLIENTS,
-            how: "python3 -m venv target/mqtt-clients && target/mqtt-clients/bin/pip install --no-deps -r tools/peers/mqtt-clients.txt",
-        });
-    }
-    if !root.join(OPCUA_CLIENTS).is_file() {
-        missing.push(Missing {
-            what: "the plant's OPC UA server asked by another's client (asyncua)",
-            needs: OPCUA_CLIENTS,
-            how: "python3 -m venv target/opcua-clients && target/opcua-clients/bin/pip install --no-deps -r tools/peers/opcua-clients.txt",
-        });
-    }
-    if !root.join(DFQ_READER).is_file() {
-        missing.push(Missing {
-            what: "the plant's DFQ files read by another's reader (aqdefreader)",
-            needs: DFQ_READER,
-            how: "python3 -m venv target/dfq-reader && target/dfq-reader/bin/pip install --no-deps -r tools/peers/dfq-reader.txt",
-        });
-    }
+    let environments = ENVIRONMENTS.iter().copied();
+    missing.extend(environments.filter(|of| !root.join(of.needs).is_file()));
     missing
 }

@@ -30,6 +30,7 @@ use tokio::sync::watch;
 
 use crate::access::require_private;
 use crate::history::{HistoryFile, check_id};
+use crate::percent::escaped;
 use crate::settings::{MqttSettings, Settings};
 use crate::standing::Standing;
 use broker::{Broker, Dial, Login};
@@ -290,13 +291,6 @@ impl Words {
 
 /// A name as one level of a topic: what separates or matches levels becomes its code, as in a URL.
 fn topic_word(name: &str) -> String {
-    let mut word = String::new();
-    for c in name.chars() {
-        match c {
-            '%' | '/' | '+' | '#' => word.push_str(&format!("%{:02X}", u32::from(c))),
-            c if c.is_control() => word.push('_'),
-            c => word.push(c),
-        }
-    }
-    word
+    let name = name.replace(char::is_control, "_");
+    escaped(&name, |c| matches!(c, '/' | '+' | '#'))
 }

@@ -46,7 +46,7 @@ use crate::standing::Standing;
 use certificates::Certificates;
 use nodes::{Manager, PlantNodes};
 use publisher::Publisher;
-use users::UsersFile;
+use users::Authenticator;
 
 /// Sessions at a time, and how long one may be silent, ms.
 const MOST_SESSIONS: usize = 32;
@@ -68,7 +68,7 @@ const PRUNE_EVERY: Duration = Duration::from_secs(2);
 /// The server, before it listens.
 pub struct OpcuaServer {
     host: String,
-    users: UsersFile,
+    users: Authenticator,
     certificates: Certificates,
     acknowledging: Acknowledging,
     standing: watch::Receiver<Arc<Standing>>,
@@ -93,7 +93,7 @@ impl OpcuaServer {
         Users::load(&of.users)?;
         Ok(Self {
             host,
-            users: UsersFile(of.users.clone()),
+            users: Authenticator(of.users.clone()),
             certificates,
             acknowledging: Acknowledging {
                 history: settings.history.clone(),

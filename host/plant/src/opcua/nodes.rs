@@ -17,7 +17,7 @@ use opcua::types::{
 
 use super::space::{DEVICES, Kind, MACHINERY, Names, Node};
 use super::types::{self, NAMESPACE, Types};
-use super::users::UsersFile;
+use super::users::Authenticator;
 use crate::access::User;
 use crate::acknowledge::{Acknowledging, Refused};
 
@@ -31,7 +31,7 @@ pub type Shown = BTreeMap<String, Node>;
 pub struct PlantNodes {
     pub names: Names,
     namespaces: Vec<NamespaceMetadata>,
-    users: UsersFile,
+    users: Authenticator,
     acknowledging: Acknowledging,
     /// Tools by the text of their method's identifier.
     tools: RwLock<BTreeMap<String, String>>,
@@ -42,7 +42,7 @@ impl PlantNodes {
     pub fn new(
         context: &ServerContext,
         space: &mut AddressSpace,
-        users: UsersFile,
+        users: Authenticator,
         acknowledging: Acknowledging,
     ) -> Self {
         let mut namespaces = Vec::new();

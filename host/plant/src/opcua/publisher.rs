@@ -28,6 +28,9 @@ const EVENTS_AT_A_TIME: usize = 50;
 const SERVICE: u8 = 255;
 const NO_SERVICE: u8 = 1;
 
+/// Number of a check, and what identifies it in all histories.
+type Identified = (i64, String);
+
 /// Shows what stands.
 pub struct Publisher {
     manager: Arc<Manager>,
@@ -36,8 +39,13 @@ pub struct Publisher {
     shown: Shown,
     /// Nodes of the tools as they were shown last.
     tools: Vec<Node>,
+    /// What stood when the history was read last, with the identifiers of its tools' last checks by their numbers; none if they could not
+    /// be read.
+    read: Option<(Arc<Standing>, Vec<Identified>)>,
     /// Number and identifier of the last check of which an event told, or that was there before this server.
-    told: Option<(i64, String)>,
+    told: Option<Identified>,
+    /// Whether there may be checks of which no event told yet.
+    is_behind: bool,
     service: u8,
 }
 
@@ -54,7 +62,9 @@ impl Publisher {
             history: HistoryFile::new(history, seals.clone()),
             shown: Shown::new(),
             tools: Vec::new(),
+            read: None,
             told: None,
+            is_behind: true,
             service: SERVICE,
         }
     }
@@ -72,15 +82,15 @@ impl Publisher {
         }
     }
 
-    fn published(mut self, standing: &Standing) -> Result<Self, StatusError> {
+    fn published(mut self, standing: &Arc<Standing>) -> Result<Self, StatusError> {
         let names = self.manager.inner().names;
         let mut nodes = space::own(names, standing);
         if standing.fault.is_none() {
-            let ids = self.result_ids(standing);
+            self.read_ids(standing);
             let id_of = |tool: &ToolStanding| {
-                let mut ids = ids.iter();
-                ids.find(|(number, _)| *number == tool.last.id)
-                    .map(|(_, id)| id.clone())
+                let (_, ids) = self.read.as_ref()?;
+                let found = ids.iter().find(|(number, _)| *number == tool.last.id);
+                found.map(|(_, id)| id.clone())
             };
             self.tools = space::nodes(names, standing, Timestamp::now(), &id_of);
         } else {
@@ -97,18 +107,25 @@ impl Publisher {
             self.service = service;
             self.handle.set_service_level(service);
         }
-        if standing.fault.is_none() {
-            self.tell().unwrap_or_else(|error| {
+        if standing.fault.is_none() && self.is_behind {
+            self.is_behind = self.tell().unwrap_or_else(|error| {
                 tracing::warn!("opcua: {error}");
                 self.history.close();
+                true
             });
         }
         Ok(self)
     }
 
-    /// Identifiers of the tools' last checks by their numbers; of those that can be read.
-    fn result_ids(&mut self, standing: &Standing) -> Vec<(i64, String)> {
-        let read = |file: &mut HistoryFile| -> Result<Vec<(i64, String)>, HistoryError> {
+    /// Reads the identifiers of the tools' last checks, unless they were read of what stands now. A check that is stored changes
+    /// what stands, so there may be news then.
+    fn read_ids(&mut self, standing: &Arc<Standing>) {
+        let of_now = |(before, _): &(Arc<Standing>, _)| Arc::ptr_eq(before, standing);
+        if self.read.as_ref().is_some_and(of_now) {
+            return;
+        }
+        self.is_behind = true;
+        let read = |file: &mut HistoryFile| -> Result<Vec<Identified>, HistoryError> {
             let (history, _) = file.verified()?;
             let mut ids = Vec::new();
             for tool in &standing.tools {
@@ -117,15 +134,18 @@ impl Publisher {
             }
             Ok(ids)
         };
-        read(&mut self.history).unwrap_or_else(|error| {
-            tracing::warn!("opcua: {error}");
-            self.history.close();
-            Vec::new()
-        })
+        self.read = match read(&mut self.history) {
+            Ok(ids) => Some((Arc::clone(standing), ids)),
+            Err(error) => {
+                tracing::warn!("opcua: {error}");
+                self.history.close();
+                None
+            }
+        };
     }
 
-    /// Tells subscribers of the checks that were stored since the last time.
-    fn tell(&mut self) -> Result<(), HistoryError> {
+    /// Tells subscribers of the checks that were stored since the last time, and returns whether there may be more.
+    fn tell(&mut self) -> Result<bool, HistoryError> {
         let (history, _) = self.history.verified()?;
         let id = |number: i64| -> Result<String, HistoryError> {
             Ok(check_id(
@@ -133,7 +153,7 @@ impl Publisher {
                 &history.document(number)?,
             ))
         };
-        let newest = || -> Result<(i64, String), HistoryError> {
+        let newest = || -> Result<Identified, HistoryError> {
             match history.listed(None, None, None, 1)?.pop() {
                 Some(check) => Ok((check.id, id(check.id)?)),
                 None => Ok((0, String::new())),
@@ -141,7 +161,7 @@ impl Publisher {
         };
         let Some((told, told_id)) = &self.told else {
             self.told = Some(newest()?);
-            return Ok(());
+            return Ok(false);
         };
         let is_same = match *told {
             0 => true,
@@ -154,12 +174,12 @@ impl Publisher {
         if !is_same {
             tracing::warn!("opcua: another history stands in its place; its checks are no news");
             self.told = Some(newest()?);
-            return Ok(());
+            return Ok(false);
         }
         let mut number = *told;
         for _ in 0..EVENTS_AT_A_TIME {
             let Some(next) = history.next_after(number)? else {
-                break;
+                return Ok(false);
             };
             let check = history.check(next)?;
             let id = id(next)?;
@@ -175,7 +195,7 @@ impl Publisher {
             number = next;
             self.told = Some((next, id));
         }
-        Ok(())
+        Ok(true)
     }
 }
 

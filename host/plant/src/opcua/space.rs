@@ -1,8 +1,6 @@
 //! What the server shows, as a list of nodes with their values: it follows from what stands alone, so that it can be compared with
 //! what was shown before.
 
-use std::fmt::Write;
-
 use flankscope_metrology::verdict::Word;
 use flankscope_record::history::FlankRow;
 use jiff::{SignedDuration, Timestamp};
@@ -12,6 +10,7 @@ use opcua::types::{
 };
 
 use super::types::{self, CheckResult, Types, UNDEFINED, evaluation, finite};
+use crate::percent::escaped;
 use crate::standing::{Standing, ToolStanding, Worth};
 
 /// Namespaces whose terms are used for what a machine is and where it stands.
@@ -144,21 +143,10 @@ pub fn station_id(names: Names, station: &str) -> NodeId {
 
 /// A name as one part of an identifier: without what separates parts or cannot be typed, and no longer than an identifier may be.
 fn part(name: &str) -> String {
-    let mut part = String::new();
-    for c in name.chars() {
-        match c {
-            '%' | '/' | ';' => {
-                let _ = write!(part, "%{:02X}", u32::from(c));
-            }
-            c if c.is_control() => {
-                let _ = write!(part, "%{:02X}", u32::from(c));
-            }
-            c => part.push(c),
-        }
-        if part.len() > MOST_PART {
-            let hash = blake3::hash(name.as_bytes()).to_hex();
-            return format!("%%{}", &hash[..32]);
-        }
+    let part = escaped(name, |c| matches!(c, '/' | ';') || c.is_control());
+    if part.len() > MOST_PART {
+        let hash = blake3::hash(name.as_bytes()).to_hex();
+        return format!("%%{}", &hash[..32]);
     }
     part
 }

@@ -187,34 +187,45 @@ impl CheckResult {
 /// Name, type, whether it is an array, and whether it may be missing.
 type Field = (&'static str, NodeId, bool, bool);
 
+/// A field with one value.
+fn single(name: &'static str, data_type: impl Into<NodeId>) -> Field {
+    (name, data_type.into(), false, false)
+}
+
+/// A field with a value or none.
+fn optional(name: &'static str, data_type: impl Into<NodeId>) -> Field {
+    (name, data_type.into(), false, true)
+}
+
+/// A field with any number of values.
+fn array(name: &'static str, data_type: impl Into<NodeId>) -> Field {
+    (name, data_type.into(), true, false)
+}
+
 /// The fields of an event beside those that every event has, in the order of [`super::events`].
 pub fn event_fields(types: Types) -> [Field; 15] {
-    let of = |name, data_type: DataTypeId| (name, NodeId::from(data_type), false, false);
-    let array = |name, data_type: DataTypeId| (name, NodeId::from(data_type), true, false);
     [
-        ("Result", types.result(), false, false),
-        of("ResultId", DataTypeId::String),
-        of("Number", DataTypeId::Int64),
-        ("ResultEvaluation", types.evaluation(), false, false),
-        of("Verdict", DataTypeId::String),
-        of("IsSimulated", DataTypeId::Boolean),
-        of("Tool", DataTypeId::String),
-        of("WorstCharacteristic", DataTypeId::String),
-        of("WorstValue", DataTypeId::Double),
-        of("WorstUncertainty", DataTypeId::Double),
+        single("Result", types.result()),
+        single("ResultId", DataTypeId::String),
+        single("Number", DataTypeId::Int64),
+        single("ResultEvaluation", types.evaluation()),
+        single("Verdict", DataTypeId::String),
+        single("IsSimulated", DataTypeId::Boolean),
+        single("Tool", DataTypeId::String),
+        single("WorstCharacteristic", DataTypeId::String),
+        single("WorstValue", DataTypeId::Double),
+        single("WorstUncertainty", DataTypeId::Double),
         array("CharacteristicNames", DataTypeId::String),
         array("CharacteristicValues", DataTypeId::Double),
         array("CharacteristicUncertainties", DataTypeId::Double),
         array("CharacteristicUpperLimits", DataTypeId::Double),
-        ("CharacteristicEvaluations", types.evaluation(), true, false),
+        array("CharacteristicEvaluations", types.evaluation()),
     ]
 }
 
 /// Adds the types.
 pub fn insert(types: Types, space: &mut AddressSpace) {
-    let of = |name, data_type: DataTypeId| (name, NodeId::from(data_type), false, false);
-    let optional = |name, data_type: DataTypeId| (name, NodeId::from(data_type), false, true);
-    let evaluation = ("ResultEvaluation", types.evaluation(), false, false);
+    let evaluation = single("ResultEvaluation", types.evaluation());
     insert_evaluation(types, space);
     let mut add = |number, name, fields: &[Field]| {
         insert_structure(types, space, (number, name), fields);
@@ -223,10 +234,10 @@ pub fn insert(types: Types, space: &mut AddressSpace) {
         CHARACTERISTIC,
         "CharacteristicDataType",
         &[
-            of("Name", DataTypeId::String),
+            single("Name", DataTypeId::String),
             evaluation.clone(),
-            of("WarningLimit", DataTypeId::Double),
-            of("UpperLimit", DataTypeId::Double),
+            single("WarningLimit", DataTypeId::Double),
+            single("UpperLimit", DataTypeId::Double),
             optional("ResultValue", DataTypeId::Double),
             optional("ExpandedUncertainty", DataTypeId::Double),
         ],
@@ -235,17 +246,17 @@ pub fn insert(types: Types, space: &mut AddressSpace) {
         META_DATA,
         "ResultMetaDataType",
         &[
-            of("ResultId", DataTypeId::String),
-            of("Number", DataTypeId::Int64),
-            of("CreationTime", DataTypeId::UtcTime),
+            single("ResultId", DataTypeId::String),
+            single("Number", DataTypeId::Int64),
+            single("CreationTime", DataTypeId::UtcTime),
             evaluation,
-            of("ResultEvaluationDetails", DataTypeId::LocalizedText),
-            of("Verdict", DataTypeId::String),
-            of("IsSimulated", DataTypeId::Boolean),
-            of("Station", DataTypeId::String),
-            of("Tool", DataTypeId::String),
-            of("SerialNumber", DataTypeId::String),
-            of("CycleCount", DataTypeId::UInt64),
+            single("ResultEvaluationDetails", DataTypeId::LocalizedText),
+            single("Verdict", DataTypeId::String),
+            single("IsSimulated", DataTypeId::Boolean),
+            single("Station", DataTypeId::String),
+            single("Tool", DataTypeId::String),
+            single("SerialNumber", DataTypeId::String),
+            single("CycleCount", DataTypeId::UInt64),
         ],
     );
     let own = |number| NodeId::new(types.namespace, number);
@@ -253,8 +264,8 @@ pub fn insert(types: Types, space: &mut AddressSpace) {
         RESULT,
         "ResultDataType",
         &[
-            ("ResultMetaData", own(META_DATA), false, false),
-            ("ResultContent", own(CHARACTERISTIC), true, false),
+            single("ResultMetaData", own(META_DATA)),
+            array("ResultContent", own(CHARACTERISTIC)),
         ],
     );
     insert_event(types, space);

@@ -11,11 +11,11 @@ use opcua::types::{Error, NodeId, StatusCode, UAString, UserTokenPolicy, UserTok
 
 use crate::access::{User, Users};
 
-/// The users' file, read anew for every login and every call that changes something: what an admin revoked is good for nothing.
+/// Asks the users' file, which it reads anew for every login and every call that changes something: what an admin revoked is good for nothing.
 #[derive(Clone)]
-pub struct UsersFile(pub PathBuf);
+pub struct Authenticator(pub PathBuf);
 
-impl UsersFile {
+impl Authenticator {
     /// The first of its users that is meant; none if the file cannot be read.
     pub fn find(&self, meant: impl FnOnce(&Users) -> Option<&User>) -> Option<User> {
         match Users::load(&self.0) {
@@ -29,7 +29,7 @@ impl UsersFile {
 }
 
 #[async_trait]
-impl AuthManager for UsersFile {
+impl AuthManager for Authenticator {
     async fn authenticate_username_identity_token(
         &self,
         _endpoint: &ServerEndpoint,

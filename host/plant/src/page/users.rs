@@ -55,8 +55,7 @@ impl UsersFile {
         let _one = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         self.reload()?;
         let now = self.current();
-        let now = now.all().iter().find(|now| now.name == user.name);
-        require_admin(now.ok_or(Failed::NoAdmin)?)?;
+        require_admin(now.named(&user.name).ok_or(Failed::NoAdmin)?)?;
         let done = change(&self.path)?;
         self.reload()?;
         Ok(done)
