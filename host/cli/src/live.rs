@@ -12,6 +12,8 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use flankscope_jobs::inspection::ViewOutcome;
+use flankscope_jobs::job::Job;
 use flankscope_jobs::watch::WatchEvent;
 use flankscope_metrology::verdict::Shown;
 use flankscope_record::document::{LiveLine, LivePicture, LiveState, LiveStep, live_socket};
@@ -38,24 +40,28 @@ pub struct LiveWatch {
 }
 
 impl LiveWatch {
-    /// Shows a watch of `tool` beside the history at `history`; `names` are those of the plan's views.
+    /// Shows a watch by this job beside the history at `history`.
     ///
     /// # Errors
     /// As of [`LiveSocket::open`].
     pub fn open(
         history: &Path,
         setting: &Setting,
-        tool: String,
-        names: Vec<String>,
+        job: &Job<ViewOutcome>,
         every: u32,
     ) -> io::Result<Self> {
-        let state = LiveState::new(setting.station.clone(), tool, setting.link.is_simulated());
+        let state = LiveState::new(
+            setting.station.clone(),
+            job.die().tool,
+            setting.link.is_simulated(),
+            job.head_dates(),
+        );
         let socket = LiveSocket::open(history)?;
         socket.show(&state);
         Ok(Self {
             socket,
             state,
-            steps: Steps::new(names),
+            steps: Steps::new(job.view_names()),
             begun: Instant::now(),
             every,
         })
@@ -77,6 +83,7 @@ impl LiveWatch {
             },
             WatchEvent::Missed(_, fault) => {
                 self.state.is_checking = false;
+                self.state.made.missed_checks += 1;
                 self.note(format!(
                     "no check: the press did not admit the head ({fault})"
                 ));
@@ -85,6 +92,12 @@ impl LiveWatch {
                 self.state.is_checking = false;
                 self.state.shown = checked.shown.word().into();
                 self.state.due_cycles = checked.cycle.wrapping_add(self.every);
+                let frames = &checked.inspection.frames;
+                let made = &mut self.state.made;
+                made.checks += 1;
+                made.frames_triggered += frames.triggered;
+                made.frames_lost += frames.triggered.saturating_sub(frames.received);
+                made.recaptured_views += u64::from(frames.recaptured_views);
                 self.note(format!("press released: {}", checked.inspection.verdict));
                 self.socket
                     .show_pictures(live_pictures(&checked.inspection));
@@ -257,7 +270,12 @@ mod tests {
     use super::*;
 
     fn state(cycle: u32) -> LiveState {
-        let mut state = LiveState::new("press 7".into(), "die".into(), true);
+        let mut state = LiveState::new(
+            "press 7".into(),
+            "die".into(),
+            true,
+            flankscope_record::document::HeadDates::default(),
+        );
         state.press_cycles = cycle;
         state
     }

@@ -83,8 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let acknowledged = acknowledgements();
     let mut log = Log::new(args, papers);
     let mut live = args.source.store(&site)?.and_then(|history| {
-        let (tool, views) = (instrument.job.die().tool, instrument.job.view_names());
-        let opened = LiveWatch::open(history, setting, tool, views, args.every);
+        let opened = LiveWatch::open(history, setting, &instrument.job, args.every);
         opened
             .inspect_err(|error| {
                 log.say(&format!(

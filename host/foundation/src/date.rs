@@ -33,6 +33,12 @@ impl Date {
         let span = i64::from(days).min(4_000_000).days();
         Self(self.0.saturating_add(span))
     }
+
+    /// When the day begins, seconds since 1970 (UTC).
+    #[must_use]
+    pub fn begins_s(self) -> i64 {
+        self.0.duration_since(civil::date(1970, 1, 1)).as_secs()
+    }
 }
 
 /// This moment by the host's clock: ISO 8601, UTC, to the second.

@@ -8,11 +8,9 @@ use flankscope_profilometry::HeadModel;
 use serde_json::json;
 
 use flankscope_instrument::doctor::Finding;
+use flankscope_record::document::HeadDates;
 use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
-
-/// A calibration that expires within this many days should be renewed.
-const SOON_DAYS: u32 = 14;
 
 /// The station's key, which signs its results.
 #[must_use]
@@ -77,12 +75,13 @@ pub fn head(
     const CALIBRATE: &str = "flankscope calibrate -o HEAD.toml";
     let record = head.calibration.as_ref();
     let made = record.map(|made| (made.date, made.expires));
-    let due = head.self_test.as_ref().map(|test| test.due);
+    let dates = HeadDates::of(head);
+    let due = dates.self_test_due;
     let figures = json!({
         "name": head.name,
         "file": path,
         "calibrated": made.map(|(date, _)| date),
-        "expires": made.map(|(_, expires)| expires),
+        "expires": dates.calibration_expires,
         "self_test_due": due,
         "simulated": record.and_then(|made| made.simulated),
     });
@@ -114,22 +113,21 @@ pub fn head(
         if let Err(unfit) = head.fit_on(today) {
             return Finding::failed(CHECK, format!("{seen}: {unfit}"), CALIBRATE);
         }
-        let Some((_, expires)) = made else {
+        if made.is_none() {
             let seen = format!("{seen}: a drawing's values, {standing}");
             return Finding::attention(CHECK, seen, CALIBRATE);
-        };
+        }
         let seen = match due {
             Some(due) => format!("{seen}, self-test due {due}, {standing}"),
             None => format!("{seen}, {standing}"),
         };
-        let soon = today.plus_days(SOON_DAYS);
-        match due {
-            _ if expires < soon => Finding::attention(CHECK, seen, CALIBRATE),
-            Some(due) if due <= today.plus_days(1) => {
-                let remedy = format!("flankscope calibrate --check {}", path.display());
-                Finding::attention(CHECK, seen, remedy)
-            }
-            _ => Finding::ok(CHECK, seen),
+        if dates.is_calibration_due(today) {
+            Finding::attention(CHECK, seen, CALIBRATE)
+        } else if dates.is_self_test_due(today) {
+            let remedy = format!("flankscope calibrate --check {}", path.display());
+            Finding::attention(CHECK, seen, remedy)
+        } else {
+            Finding::ok(CHECK, seen)
         }
     };
     finding().with(figures)

@@ -4,6 +4,7 @@ use std::fmt;
 use std::sync::atomic::AtomicU64;
 
 use flankscope_metrology::verdict::Word;
+use flankscope_record::document::LiveState;
 use jiff::Timestamp;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -17,13 +18,18 @@ use crate::standing::{Standing, Worth};
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 type Labels = Vec<(&'static str, String)>;
+type Counters = Family<Labels, Counter>;
 type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
 
-/// The metrics of what stands now.
+/// The metrics of what stands now, and of the watch, if one runs.
 ///
 /// # Errors
 /// None occur when writing to memory.
-pub fn text(standing: &Standing, now: Timestamp) -> Result<String, fmt::Error> {
+pub fn text(
+    standing: &Standing,
+    live: Option<&LiveState>,
+    now: Timestamp,
+) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("flankscope");
     let mut gauges = |name: &str, help: &str| {
         let family = Gauges::default();
@@ -57,14 +63,56 @@ pub fn text(standing: &Standing, now: Timestamp) -> Result<String, fmt::Error> {
         "Expanded uncertainty (95 %) of that wear",
     );
     let limit = gauges("flank_wear_limit_meters", "Stop limit of the wear");
-    let checks: Family<Labels, Counter> = Family::default();
-    registry.register("checks", "Stored checks by verdict", checks.clone());
+    let expires = gauges(
+        "calibration_expires_timestamp_seconds",
+        "Last day on which the calibration of the watch's head judges, its beginning",
+    );
+    let self_test = gauges(
+        "self_test_due_timestamp_seconds",
+        "When the self-test of the watch's head is due",
+    );
+    let mut counters = |name: &str, help: &str| {
+        let family = Counters::default();
+        registry.register(name, help, family.clone());
+        family
+    };
+    let frames = counters(
+        "watch_frames_triggered",
+        "Frames triggered since the watch began",
+    );
+    let lost = counters(
+        "watch_frames_lost",
+        "Frames triggered since the watch began that never arrived",
+    );
+    let checks = counters("checks", "Stored checks by verdict");
 
     let flag = |holds: bool| f64::from(u8::from(holds));
     let set = |family: &Gauges, labels: Labels, value: f64| {
         family.get_or_create(&labels).set(value);
     };
     set(&readable, Vec::new(), flag(standing.fault.is_none()));
+    if let Some(live) = live {
+        let of = || {
+            vec![
+                ("tool", live.tool.clone()),
+                ("station", live.station.clone()),
+            ]
+        };
+        for (family, day) in [
+            (&expires, live.head.calibration_expires),
+            (&self_test, live.head.self_test_due),
+        ] {
+            if let Some(day) = day {
+                set(family, of(), day.begins_s() as f64);
+            }
+        }
+        for (family, count) in [
+            (&frames, live.made.frames_triggered),
+            (&lost, live.made.frames_lost),
+        ] {
+            family.get_or_create_owned(&of()).inc_by(count);
+        }
+    }
     for tool in &standing.tools {
         let last = &tool.last;
         let of = || {

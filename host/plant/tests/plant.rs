@@ -1,15 +1,19 @@
 //! The plant's process against histories that the instrument writes: who gets in, what is shown, and what it shows when it knows
 //! nothing.
 
+#[allow(dead_code)]
+mod station;
+
 use std::fs::Permissions;
-use std::io::{BufRead, BufReader, Lines, Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use flankscope_tests::{Killed, flankscope, run, state};
+use flankscope_tests::{Killed, flankscope, run};
+use station::{Plant, Printed, Station, plant, printed};
 
 const ROUTES: [&str; 11] = [
     "/",
@@ -24,199 +28,6 @@ const ROUTES: [&str; 11] = [
     "/metrics",
     "/users",
 ];
-
-fn plant() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_flankscope-plant"));
-    command.env("FLANKSCOPE_STATE", state());
-    command
-}
-
-/// What the command prints.
-fn printed(arguments: &[&str], file: &Path) -> String {
-    let output = plant().args(arguments).arg(file).output().unwrap();
-    assert!(output.status.success(), "{output:?}");
-    String::from_utf8(output.stdout).unwrap().trim().to_owned()
-}
-
-/// A folder with a history, settings and a user.
-struct Station {
-    folder: tempfile::TempDir,
-    token: String,
-}
-
-impl Station {
-    fn new(stale_after_s: u32) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let users = folder.path().join("users.toml");
-        let token = printed(
-            &["token", "Anna", "--role", "acknowledge", "--users"],
-            &users,
-        );
-        let settings = format!(
-            "history = \"press.db\"\nstale_after_s = {stale_after_s}\nreports = \"out\"\n\n\
-             [page]\nlisten = \"127.0.0.1:0\"\nusers = \"users.toml\"\n\n[modbus]\nlisten = \"127.0.0.1:0\"\n"
-        );
-        std::fs::write(folder.path().join("plant.toml"), settings).unwrap();
-        Self { folder, token }
-    }
-
-    fn history(&self) -> PathBuf {
-        self.folder.path().join("press.db")
-    }
-
-    /// Checks the demo die's tooth 40, and returns the exit code.
-    fn check(&self, more: &[&str]) -> i32 {
-        let mut check = flankscope();
-        check.args([
-            "inspect", "--link", "sim", "--speed", "max", "--quiet", "--teeth", "40",
-        ]);
-        check.arg("--history").arg(self.history());
-        check.arg("--report").arg(self.folder.path().join("out"));
-        run(check.args(more)).code
-    }
-
-    fn serve(&self) -> Plant {
-        let mut child = plant()
-            .arg("serve")
-            .arg(self.folder.path().join("plant.toml"))
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        let mut printed = Printed::of(&mut child);
-        Plant {
-            page: printed.address("page     http"),
-            modbus: printed.address("modbus"),
-            token: self.token.clone(),
-            process: Killed(child),
-        }
-    }
-}
-
-/// Lines that the plant's process prints when it begins.
-struct Printed(Lines<BufReader<ChildStdout>>);
-
-impl Printed {
-    fn of(child: &mut Child) -> Self {
-        Self(BufReader::new(child.stdout.take().unwrap()).lines())
-    }
-
-    /// What follows these words in the next line.
-    fn after(&mut self, words: &str) -> String {
-        let line = self.0.next().unwrap().unwrap();
-        let said = line.strip_prefix(words);
-        said.unwrap_or_else(|| panic!("{line}")).trim().into()
-    }
-
-    fn address(&mut self, words: &str) -> SocketAddr {
-        let said = self.after(words);
-        let said = said.trim_start_matches('s').trim_start_matches("://");
-        said.trim_end_matches('/').parse().unwrap()
-    }
-}
-
-/// The plant's process, where it listens, and a token for it.
-struct Plant {
-    page: SocketAddr,
-    modbus: SocketAddr,
-    token: String,
-    process: Killed,
-}
-
-/// Status and text of an answer, headers included.
-struct Answer {
-    status: u16,
-    text: String,
-}
-
-impl Plant {
-    /// Sends a request as it is spelled here.
-    fn send(&self, request: &str) -> Answer {
-        let mut stream = TcpStream::connect(self.page).unwrap();
-        stream
-            .set_read_timeout(Some(Duration::from_secs(20)))
-            .unwrap();
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = Vec::new();
-        stream.read_to_end(&mut answer).unwrap();
-        let text = String::from_utf8_lossy(&answer).into_owned();
-        let status = text
-            .split(' ')
-            .nth(1)
-            .and_then(|status| status.parse().ok());
-        Answer {
-            status: status.unwrap_or_else(|| panic!("{text}")),
-            text,
-        }
-    }
-
-    fn get(&self, path: &str, headers: &str) -> Answer {
-        let host = self.page;
-        self.send(&format!(
-            "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n"
-        ))
-    }
-
-    fn post(&self, path: &str, headers: &str, form: &str) -> Answer {
-        let (host, length) = (self.page, form.len());
-        self.send(&format!(
-            "POST {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Type: application/x-www-form-urlencoded\r\n\
-             Content-Length: {length}\r\n{headers}\r\n{form}"
-        ))
-    }
-
-    fn with_token(&self, path: &str) -> Answer {
-        self.get(path, &format!("Authorization: Bearer {}\r\n", self.token))
-    }
-
-    /// The board, once it shows this.
-    fn board_with(&self, wanted: &str) -> String {
-        self.page_with("/board", wanted)
-    }
-
-    /// A page, once it shows this.
-    fn page_with(&self, path: &str, wanted: &str) -> String {
-        let end = Instant::now() + Duration::from_secs(120);
-        loop {
-            let page = self.with_token(path).text;
-            if page.contains(wanted) {
-                return page;
-            }
-            assert!(Instant::now() < end, "no {wanted} in {page}");
-            std::thread::sleep(Duration::from_millis(200));
-        }
-    }
-
-    /// A Modbus request (the bytes after unit and length, by the protocol's specification) and the bytes of its answer.
-    fn ask_registers(&self, request: [u8; 5]) -> Vec<u8> {
-        let mut stream = TcpStream::connect(self.modbus).unwrap();
-        stream
-            .set_read_timeout(Some(Duration::from_secs(20)))
-            .unwrap();
-        let mut frame = vec![0x12, 0x34, 0, 0, 0, 6, 1];
-        frame.extend(request);
-        stream.write_all(&frame).unwrap();
-        let mut head = [0; 7];
-        stream.read_exact(&mut head).unwrap();
-        assert_eq!(
-            head[..4],
-            [0x12, 0x34, 0, 0],
-            "transaction and protocol come back"
-        );
-        let mut answer = vec![0; usize::from(u16::from_be_bytes([head[4], head[5]])) - 1];
-        stream.read_exact(&mut answer).unwrap();
-        answer
-    }
-
-    fn registers(&self) -> Vec<u16> {
-        let answer = self.ask_registers([4, 0, 0, 0, 10]);
-        assert_eq!(answer[..2], [4, 20]);
-        let words = answer[2..].chunks_exact(2);
-        words
-            .map(|word| u16::from_be_bytes([word[0], word[1]]))
-            .collect()
-    }
-}
 
 #[test]
 fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
@@ -344,11 +155,16 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
         "shown <strong>no-go<",
         "head moves to",
         "tooth 40 left ±",
+        "Camera: lost 0 of",
+        "Free for the history:",
         "camera frame",
         "data:image/png;base64,",
     ] {
         plant.page_with("/now", part);
     }
+    let metrics = plant.with_token("/metrics").text;
+    let lost = "flankscope_watch_frames_lost_total{tool=\"demo die\",station=";
+    assert!(metrics.contains(lost), "{metrics}");
     let standing = |plant: &Plant| -> u32 {
         let board = plant.board_with("is not acknowledged");
         let check = board.split("name=\"check\" value=\"").nth(1).unwrap();

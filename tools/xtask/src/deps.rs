@@ -123,10 +123,13 @@ const ROOMS: &[Room] = &[
     ),
     // What it computes is what the command computes; nothing of the instrument.
     (PYTHON, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
-    // Nothing that decodes, registers or judges: a world that shares a formula with the instrument proves nothing.
+    // Nothing that decodes, registers or judges: a world that shares a formula with the instrument proves nothing. Of the foundation it
+    // takes the choice of vector instructions.
     (
         BENCH,
-        &[PROTOCOL, FRAMES, CONTROLLER, SIM, PIN_WIRE, GEAR_CAD],
+        &[
+            PROTOCOL, FRAMES, FOUNDATION, CONTROLLER, SIM, PIN_WIRE, GEAR_CAD,
+        ],
     ),
     (
         DEMO,

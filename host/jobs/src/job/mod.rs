@@ -26,6 +26,7 @@ use flankscope_instrument::acquisition::{Acquisition, AcquisitionError, Progress
 use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_instrument::poses::PoseProgram;
 use flankscope_record::die::DieKey;
+use flankscope_record::document::HeadDates;
 use flankscope_record::origin::Setting;
 
 pub(crate) use failure::{stopped, view_lost};
@@ -84,6 +85,11 @@ impl<O: Send + 'static> Job<O> {
     /// Key of the die in a history.
     pub fn die(&self) -> DieKey {
         self.subject.die()
+    }
+
+    /// When the head has to be calibrated and tested again.
+    pub fn head_dates(&self) -> HeadDates {
+        HeadDates::of(&self.subject.head)
     }
 
     /// For every view of the plan, the tooth or patch that it is for; the further views come last.

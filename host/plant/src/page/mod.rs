@@ -265,7 +265,7 @@ async fn home(
     lang: Language,
 ) -> Shown {
     let board = board_now(&site, &user, lang)?;
-    let now = now_of(&site, lang)?;
+    let now = now_of(&site, lang).await?;
     let has_map3d = match &site.reports {
         Some(folder) => tokio::fs::try_exists(views::map3d(folder)).await,
         None => Ok(false),
@@ -289,12 +289,20 @@ async fn board(
 }
 
 async fn now(State(site): State<Arc<Site>>, lang: Language) -> Shown {
-    Ok(Html(now_of(&site, lang)?))
+    Ok(Html(now_of(&site, lang).await?))
 }
 
-fn now_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
+async fn now_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
+    let history = site.acknowledging.history.clone();
+    let free_bytes = tokio::task::spawn_blocking(move || free_bytes(&history)).await;
     let live = site.live.borrow().clone();
-    views::Now::new(&live, lang).render()
+    views::Now::new(&live, free_bytes.ok().flatten(), lang).render()
+}
+
+/// What the disk with this file has free for its user.
+fn free_bytes(file: &std::path::Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(file).ok()?;
+    Some(disk.f_bavail * disk.f_frsize)
 }
 
 fn board_now(site: &Site, user: &User, lang: Language) -> Result<String, askama::Error> {
@@ -411,7 +419,8 @@ async fn report(State(site): State<Arc<Site>>, Path(page): Path<String>) -> Show
 }
 
 async fn scraped(State(site): State<Arc<Site>>) -> Response {
-    match metrics::text(&site.standing.borrow(), Timestamp::now()) {
+    let live = site.live.borrow().state.clone();
+    match metrics::text(&site.standing.borrow(), live.as_deref(), Timestamp::now()) {
         Ok(text) => ([(header::CONTENT_TYPE, metrics::CONTENT_TYPE)], text).into_response(),
         Err(error) => Failed::Because(error.to_string()).into_response(),
     }

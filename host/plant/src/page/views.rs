@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use askama::Template;
+use flankscope_foundation::date::Date;
 use flankscope_foundation::files::read_text;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::{LivePicture, LiveState};
@@ -18,6 +19,8 @@ use crate::standing::{Standing, ToolStanding, Worth, most_worn};
 
 /// Name of the newest check's maps in space.
 const MAP3D: &str = "map3d.html";
+/// Free space of the history's disk below which it is an alarm, bytes.
+const LOW_DISK_BYTES: u64 = 1 << 30;
 /// Largest page of a report, bytes.
 const MOST_REPORT: u64 = 4 << 20;
 
@@ -66,7 +69,10 @@ impl UsersPage<'_> {
 #[template(path = "now.html")]
 pub struct Now<'a> {
     lang: Language,
+    today: Date,
     state: Option<&'a LiveState>,
+    /// What the history's disk has free, if it says.
+    free_bytes: Option<u64>,
     /// Steps of the check, with their seconds and their lengths as shares of the whole, percent.
     steps: Vec<Step<'a>>,
     pictures: &'a [LivePicture],
@@ -79,7 +85,7 @@ struct Step<'a> {
 }
 
 impl<'a> Now<'a> {
-    pub fn new(live: &'a Live, lang: Language) -> Self {
+    pub fn new(live: &'a Live, free_bytes: Option<u64>, lang: Language) -> Self {
         let state = live.state.as_deref();
         let steps = state.map_or(&[][..], |state| &state.steps);
         let whole_ms = steps.last().map_or(1, |last| last.at_ms.max(1));
@@ -92,7 +98,9 @@ impl<'a> Now<'a> {
         });
         Self {
             lang,
+            today: Date::today(),
             state,
+            free_bytes,
             steps: steps.collect(),
             pictures: &live.pictures,
         }
@@ -318,4 +326,73 @@ fn is_page(name: &str) -> bool {
     name.strip_suffix(".html").is_some_and(|stem| {
         !stem.is_empty() && stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-')
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use flankscope_record::document::{HeadDates, LiveCounts};
+
+    use super::*;
+
+    const GIB: u64 = 1 << 30;
+
+    fn alarms(days: [u32; 2], made: LiveCounts, free_bytes: u64) -> Vec<String> {
+        let today = Date::today();
+        let head = HeadDates {
+            calibration_expires: Some(today.plus_days(days[0])),
+            self_test_due: Some(today.plus_days(days[1])),
+        };
+        let mut state = LiveState::new("press 7".into(), "die".into(), false, head);
+        state.made = made;
+        let live = Live {
+            state: Some(Arc::new(state)),
+            ..Live::default()
+        };
+        let now = Now::new(&live, Some(free_bytes), Language::English);
+        let page = now.render().unwrap();
+        let alarms = page.split("<li class=\"alarm\">").skip(1);
+        alarms
+            .map(|rest| rest.split('<').next().unwrap().to_owned())
+            .collect()
+    }
+
+    #[test]
+    fn health_that_needs_somebody_is_an_alarm() {
+        let fit = LiveCounts {
+            checks: 3,
+            frames_triggered: 225,
+            ..LiveCounts::default()
+        };
+        assert_eq!(alarms([60, 5], fit, 20 * GIB), [""; 0]);
+        let begins = |alarms: Vec<String>, wanted: &str| {
+            assert!(
+                alarms.len() == 1 && alarms[0].starts_with(wanted),
+                "{alarms:?}"
+            );
+        };
+        begins(alarms([13, 5], fit, 20 * GIB), "Calibration expires");
+        begins(alarms([60, 1], fit, 20 * GIB), "Self-test due");
+        begins(
+            alarms([60, 5], fit, GIB - 1),
+            "Free for the history: 1.1 GB",
+        );
+        let lossy = LiveCounts {
+            frames_lost: 2,
+            ..fit
+        };
+        begins(
+            alarms([60, 5], lossy, 20 * GIB),
+            "Camera: lost 2 of 225 frames; views captured again: 0; checks of this watch: 3",
+        );
+        let shut_out = LiveCounts {
+            missed_checks: 1,
+            ..fit
+        };
+        begins(
+            alarms([60, 5], shut_out, 20 * GIB),
+            "Checks not made because the press did not admit the head: 1",
+        );
+    }
 }

@@ -34,9 +34,18 @@ impl Press {
     }
 
     /// Stores a check of one flank of a tool, with 25.5 µm of wear.
+    #[allow(dead_code)]
     pub fn check(&mut self, tool: &str, tooth: u32, verdict: Word) {
         let cycles = self.made as u32 + 1;
         self.store(inspection(tool, tooth, verdict, cycles));
+    }
+
+    /// Stores such a check with this moment as its time.
+    #[allow(dead_code)]
+    pub fn check_now(&mut self, tool: &str, tooth: u32, verdict: Word) {
+        let mut check = inspection(tool, tooth, verdict, self.made as u32 + 1);
+        check.date = flankscope_foundation::date::now();
+        self.store(check);
     }
 
     /// Stores a check.

@@ -5,7 +5,9 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::date::Date;
 use flankscope_metrology::verdict::Shown;
+use flankscope_profilometry::HeadModel;
 use serde::{Deserialize, Serialize};
 
 /// Longest line of a watch, bytes: the pictures of a check take a tenth of it.
@@ -48,12 +50,16 @@ pub struct LiveState {
     pub is_checking: bool,
     /// Steps of the check that runs, else of the last one.
     pub steps: Vec<LiveStep>,
+    /// When the head has to be calibrated and tested again.
+    pub head: HeadDates,
+    /// Checks of this watch and their frames.
+    pub made: LiveCounts,
 }
 
 impl LiveState {
     /// Before the first check.
     #[must_use]
-    pub fn new(station: String, tool: String, simulated: bool) -> Self {
+    pub fn new(station: String, tool: String, simulated: bool, head: HeadDates) -> Self {
         Self {
             station,
             tool,
@@ -63,8 +69,65 @@ impl LiveState {
             shown: Shown::Unchecked.word().into(),
             is_checking: false,
             steps: Vec::new(),
+            head,
+            made: LiveCounts::default(),
         }
     }
+}
+
+/// A calibration that expires within this many days should be renewed.
+const RENEWED_DAYS_BEFORE: u32 = 14;
+/// A self-test is announced this many days before it is due.
+const TESTED_DAYS_BEFORE: u32 = 1;
+
+/// When a head has to be calibrated and tested again; absent for a head that never was.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct HeadDates {
+    /// Last day on which its calibration judges.
+    pub calibration_expires: Option<Date>,
+    /// Day on which its self-test is due.
+    pub self_test_due: Option<Date>,
+}
+
+impl HeadDates {
+    /// The dates in a head's file.
+    #[must_use]
+    pub fn of(head: &HeadModel) -> Self {
+        Self {
+            calibration_expires: head.calibration.as_ref().map(|made| made.expires),
+            self_test_due: head.self_test.as_ref().map(|test| test.due),
+        }
+    }
+
+    /// Whether the calibration should be renewed on this day.
+    #[must_use]
+    pub fn is_calibration_due(&self, today: Date) -> bool {
+        let soon = today.plus_days(RENEWED_DAYS_BEFORE);
+        self.calibration_expires
+            .is_some_and(|expires| expires < soon)
+    }
+
+    /// Whether the self-test should be made on this day.
+    #[must_use]
+    pub fn is_self_test_due(&self, today: Date) -> bool {
+        let soon = today.plus_days(TESTED_DAYS_BEFORE);
+        self.self_test_due.is_some_and(|due| due <= soon)
+    }
+}
+
+/// What a watch has done since it began.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct LiveCounts {
+    /// Checks.
+    pub checks: u64,
+    /// Checks that were due and not made, because the press did not admit the head.
+    pub missed_checks: u64,
+    /// Frames triggered.
+    pub frames_triggered: u64,
+    /// Frames triggered that never arrived.
+    pub frames_lost: u64,
+    /// Views that had to be captured again.
+    pub recaptured_views: u64,
 }
 
 /// A step of a check.

@@ -31,7 +31,9 @@ pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, Recorded
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
 pub use identity::{IdentifiedBy, ToothIdentity};
-pub use live::{LiveLine, LivePicture, LiveState, LiveStep, MOST_LIVE_BYTES, live_socket};
+pub use live::{
+    HeadDates, LiveCounts, LiveLine, LivePicture, LiveState, LiveStep, MOST_LIVE_BYTES, live_socket,
+};
 pub use setup::{
     ExpectedByHead, ExposureLevels, LostCapture, ProposedExposures, SetupCapture, SetupView,
 };

@@ -3,6 +3,7 @@
 use super::WorldError;
 use super::bundle::Bundle;
 use super::random::{Normals, Purpose, stream};
+use flankscope_foundation::simd::with_widest;
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -169,29 +170,44 @@ impl Sensor {
         jobs.into_par_iter()
             .with_min_len(8)
             .for_each(|(span, row)| {
-                let length = span.columns.len();
-                for i in 0..length {
-                    let pixel = span.first + i;
-                    let starts = &self.seen.starts;
-                    let seen = starts[pixel] as usize..starts[pixel + 1] as usize;
-                    let response = self.response[pixel];
-                    for (block, light) in blocks.iter().enumerate() {
-                        let mut sum = [0f32; BLOCK];
-                        for (&core, &weight) in self.seen.cores[seen.clone()]
-                            .iter()
-                            .zip(&self.seen.weights[seen.clone()])
-                        {
-                            for (s, l) in sum.iter_mut().zip(&light[core as usize]) {
-                                *s += weight * l;
-                            }
-                        }
-                        for (k, s) in sum.iter().enumerate().take(patterns - block * BLOCK) {
-                            row[(block * BLOCK + k) * length + i] = s * response;
-                        }
-                    }
-                }
+                with_widest(
+                    #[inline(always)]
+                    || self.expose_span(span, &blocks, patterns, row),
+                );
             });
         Rates { values, patterns }
+    }
+
+    /// Light on the pixels of a span, pattern by pattern.
+    #[inline(always)]
+    fn expose_span(
+        &self,
+        span: &Span,
+        blocks: &[Vec<[f32; BLOCK]>],
+        patterns: usize,
+        row: &mut [f32],
+    ) {
+        let length = span.columns.len();
+        for i in 0..length {
+            let pixel = span.first + i;
+            let starts = &self.seen.starts;
+            let seen = starts[pixel] as usize..starts[pixel + 1] as usize;
+            let response = self.response[pixel];
+            for (block, light) in blocks.iter().enumerate() {
+                let mut sum = [0f32; BLOCK];
+                for (&core, &weight) in self.seen.cores[seen.clone()]
+                    .iter()
+                    .zip(&self.seen.weights[seen.clone()])
+                {
+                    for (s, l) in sum.iter_mut().zip(&light[core as usize]) {
+                        *s += weight * l;
+                    }
+                }
+                for (k, s) in sum.iter().enumerate().take(patterns - block * BLOCK) {
+                    row[(block * BLOCK + k) * length + i] = s * response;
+                }
+            }
+        }
     }
 
     /// The sum of the light of these patterns, as the only pattern.
@@ -244,14 +260,18 @@ impl Sensor {
             pixels[right..].copy_from_slice(&self.dark[from + right..from + width]);
             let length = right - left;
             let at = span.first * rates.patterns + pattern * length;
-            counts.fill(
-                &rates.values[at..at + length],
-                &self.normals[from + left..from + right],
-                &mut pixels[left..right],
+            let rates = &rates.values[at..at + length];
+            let normals = &self.normals[from + left..from + right];
+            let out = &mut pixels[left..right];
+            with_widest(
+                #[inline(always)]
+                || counts.fill(rates, normals, out),
             );
         }
     }
 }
+
+const TWO_POW_23: f32 = 8_388_608.0;
 
 /// Constants of one frame.
 struct Counts {
@@ -266,12 +286,15 @@ struct Counts {
 impl Counts {
     /// Shot and read noise are independent: one normal deviate of the summed variance stands for both. A Poisson
     /// distribution below some 50 e⁻ is skewed, but there the read noise of 7 e⁻ hides it.
+    #[inline(always)]
     fn fill(&self, rates: &[f32], normals: &[f32], out: &mut [u16]) {
         for ((dn, &rate), &normal) in out.iter_mut().zip(rates).zip(normals) {
             let mean = rate * self.time_ms;
             let charge = (mean + (mean + self.read_e2).sqrt() * normal).min(self.full_e);
-            let count = (charge * self.dn_per_e + self.offset_dn + 0.5).clamp(0.0, self.max_dn);
-            *dn = count as i32 as u16;
+            let count = charge * self.dn_per_e + self.offset_dn + 0.5;
+            let count = count.max(0.0).min(self.max_dn).floor();
+            // The last bits of a number above 2^23 count ones; a conversion that saturates is not made into vector instructions.
+            *dn = (count + TWO_POW_23).to_bits() as u16;
         }
     }
 }
@@ -369,4 +392,41 @@ fn row_weights(
         found.ends.push(found.cores.len() as u32);
     }
     Some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_those_of_a_conversion_that_saturates() {
+        let counts = Counts {
+            time_ms: 1.7,
+            full_e: 30_000.0,
+            read_e2: 49.0,
+            dn_per_e: 4096.0 / 32_500.0,
+            offset_dn: 0.2,
+            max_dn: 4095.0,
+        };
+        let mut random = Normals::new(stream(1, Purpose::NoiseTable));
+        let normals: Vec<f32> = (0..100_003).map(|_| random.next() as f32).collect();
+        let mut rates: Vec<f32> = (0..normals.len())
+            .map(|i| 25_000.0 * (i as f32 / normals.len() as f32).powi(3))
+            .collect();
+        // What no scene gives: no light at all, more than any pixel holds, and no number.
+        rates[..4].copy_from_slice(&[0.0, 1e30, f32::INFINITY, f32::NAN]);
+        let mut got = vec![0; rates.len()];
+        with_widest(
+            #[inline(always)]
+            || counts.fill(&rates, &normals, &mut got),
+        );
+        let expected = rates.iter().zip(&normals).map(|(rate, normal)| {
+            let mean = rate * counts.time_ms;
+            let charge = (mean + (mean + counts.read_e2).sqrt() * normal).min(counts.full_e);
+            let count = charge * counts.dn_per_e + counts.offset_dn + 0.5;
+            count.clamp(0.0, counts.max_dn) as u16
+        });
+        assert_eq!(got, expected.collect::<Vec<_>>());
+        assert!(got.contains(&0) && got.contains(&3781), "{:?}", &got[..4]);
+    }
 }
