@@ -1,7 +1,8 @@
-//! Who may see the page. A token is 256 random bits, so that its plain hash gives nothing away.
+//! Who may see the page and come in by OPC UA. A token is 256 random bits, so that its plain hash gives nothing away.
 
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use blake3::Hash;
 use flankscope_foundation::files::write_whole_with_mode;
@@ -206,6 +207,95 @@ impl Users {
     /// The person or program of this name.
     pub fn named(&self, name: &str) -> Option<&User> {
         self.user.iter().find(|user| user.name == name)
+    }
+}
+
+/// The file of users, which is read again whenever it was changed, by whomever: what it says now counts.
+#[derive(Debug)]
+pub struct UsersFile {
+    path: PathBuf,
+    read: Mutex<(Version, Arc<Users>)>,
+    /// One change at a time.
+    change: Mutex<()>,
+}
+
+/// Which file it is and when it was last written, moved or given another mode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Version {
+    inode: u64,
+    changed_s: i64,
+    changed_ns: i64,
+    bytes: u64,
+}
+
+impl Version {
+    fn of(path: &Path) -> Result<Self, UsersError> {
+        let meta = std::fs::metadata(path).map_err(failed(path))?;
+        Ok(Self {
+            inode: meta.ino(),
+            changed_s: meta.ctime(),
+            changed_ns: meta.ctime_nsec(),
+            bytes: meta.size(),
+        })
+    }
+}
+
+impl UsersFile {
+    /// Reads a file with at least one user.
+    ///
+    /// # Errors
+    /// As of [`Users::load`].
+    pub fn open(path: &Path) -> Result<Self, UsersError> {
+        // The version first: whoever writes between is noticed at the next look.
+        let version = Version::of(path)?;
+        let users = Arc::new(Users::load(path)?);
+        Ok(Self {
+            path: path.into(),
+            read: Mutex::new((version, users)),
+            change: Mutex::default(),
+        })
+    }
+
+    /// The users of the file as it is now.
+    ///
+    /// # Errors
+    /// As of [`Users::load`]: what cannot be read lets nobody in.
+    pub fn now(&self) -> Result<Arc<Users>, UsersError> {
+        let version = Version::of(&self.path)?;
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        if read.0 != version {
+            *read = (version, Arc::new(Users::load(&self.path)?));
+        }
+        Ok(Arc::clone(&read.1))
+    }
+
+    /// The first of its users that is meant; none if the file cannot be read, which is logged.
+    pub fn find(&self, meant: impl FnOnce(&Users) -> Option<&User>) -> Option<User> {
+        match self.now() {
+            Ok(users) => meant(&users).cloned(),
+            Err(error) => {
+                tracing::warn!("nobody comes in: {error}");
+                None
+            }
+        }
+    }
+
+    /// Whose token it is.
+    pub fn of_token(&self, token: &str) -> Option<User> {
+        self.find(|users| users.of_token(token))
+    }
+
+    /// Runs what changes the file, given who is in it, while no other change by this process runs.
+    ///
+    /// # Errors
+    /// The file cannot be read, or those of `change`.
+    pub fn changed<T, E: From<UsersError>>(
+        &self,
+        change: impl FnOnce(&Users, &Path) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let _one = self.change.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = self.now()?;
+        change(&now, &self.path)
     }
 }
 

@@ -55,10 +55,10 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-use access::{Role, Users};
+use access::{Role, Users, UsersFile};
 use demo_line::DemoLine;
 use encryption::Encryption;
-use page::{Names, UsersFile};
+use page::Names;
 use settings::Settings;
 
 /// Show a plant what a station says: a page, metrics and Modbus registers, from the station's history.
@@ -172,7 +172,7 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
         let mut terminate = signal(SignalKind::terminate())?;
         let mut tasks = tokio::task::JoinSet::new();
         if let Some(of) = &settings.page {
-            let users = UsersFile::load(&of.users)?;
+            let users = UsersFile::open(&of.users)?;
             let encryption = Encryption::of(of)?;
             let listener = TcpListener::bind(of.listen)
                 .await

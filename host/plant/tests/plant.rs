@@ -378,6 +378,19 @@ fn an_admin_gives_and_revokes_tokens_which_count_at_once() {
     );
     assert_eq!(plant.get("/users", &admin).status, 200);
 
+    // So does what the command line gives and what somebody takes out of the file, with the page running.
+    let guest = printed(&["token", "guest", "--users"], &users);
+    assert_eq!(plant.get("/board", &bearer(&guest)).status, 200);
+    let without = text().replace("name = \"guest\"", "name = \"other\"");
+    let without = without.split("[[user]]\nname = \"other\"").next().unwrap();
+    std::fs::write(&users, without).unwrap();
+    assert_eq!(plant.get("/board", &bearer(&guest)).status, 401);
+    assert_eq!(plant.get("/board", &admin).status, 200);
+    // A file that others can read lets nobody in.
+    std::fs::set_permissions(&users, Permissions::from_mode(0o644)).unwrap();
+    assert_eq!(plant.get("/board", &admin).status, 401);
+    std::fs::set_permissions(&users, Permissions::from_mode(0o600)).unwrap();
+
     // A file that was made read-only, and an admin whose line somebody took out of it.
     let writable = std::fs::metadata(&users).unwrap().permissions();
     std::fs::set_permissions(&users, Permissions::from_mode(0o400)).unwrap();

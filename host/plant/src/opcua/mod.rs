@@ -39,7 +39,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::sleep;
 
-use crate::access::Users;
+use crate::access::UsersFile;
 use crate::acknowledge::Acknowledging;
 use crate::settings::{OpcuaSettings, Settings};
 use crate::standing::Standing;
@@ -89,11 +89,9 @@ impl OpcuaServer {
         let host = of.name.clone().unwrap_or_else(|| ip.to_string());
         let certificates = Certificates::prepare(&of.certificates, &host, ip.is_loopback())?;
         tracing::info!("opcua: own certificate {}", certificates.thumbprint()?);
-        // Refused now, not at the first login.
-        Users::load(&of.users)?;
         Ok(Self {
             host,
-            users: Authenticator(of.users.clone()),
+            users: Authenticator(Arc::new(UsersFile::open(&of.users)?)),
             certificates,
             acknowledging: Acknowledging {
                 history: settings.history.clone(),

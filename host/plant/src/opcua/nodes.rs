@@ -129,6 +129,7 @@ impl InMemoryNodeManagerImpl for PlantNodes {
     ) -> Result<(), StatusCode> {
         let user = self
             .users
+            .0
             .find(|users| users.named(&context.user_token().0));
         for call in methods_to_call {
             let done = match &user {

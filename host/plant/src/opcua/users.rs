@@ -1,6 +1,6 @@
 //! Who comes in: a name of the users' file with its token as password. Nobody comes in anonymously.
 
-use std::path::PathBuf;
+use std::sync::Arc;
 
 use async_trait::async_trait;
 use opcua::server::ServerEndpoint;
@@ -9,24 +9,11 @@ use opcua::server::authenticator::{
 };
 use opcua::types::{Error, NodeId, StatusCode, UAString, UserTokenPolicy, UserTokenType};
 
-use crate::access::{User, Users};
+use crate::access::UsersFile;
 
-/// Asks the users' file, which it reads anew for every login and every call that changes something: what an admin revoked is good for nothing.
+/// Asks the users' file at every login and every call that changes something: what an admin revoked is good for nothing.
 #[derive(Clone)]
-pub struct Authenticator(pub PathBuf);
-
-impl Authenticator {
-    /// The first of its users that is meant; none if the file cannot be read.
-    pub fn find(&self, meant: impl FnOnce(&Users) -> Option<&User>) -> Option<User> {
-        match Users::load(&self.0) {
-            Ok(users) => meant(&users).cloned(),
-            Err(error) => {
-                tracing::warn!("opcua: {error}");
-                None
-            }
-        }
-    }
-}
+pub struct Authenticator(pub Arc<UsersFile>);
 
 #[async_trait]
 impl AuthManager for Authenticator {
@@ -36,7 +23,7 @@ impl AuthManager for Authenticator {
         username: &str,
         password: &Password,
     ) -> Result<UserToken, Error> {
-        let user = self.find(|users| users.of_token(password.get()));
+        let user = self.0.of_token(password.get());
         match user.filter(|user| user.name == username) {
             Some(user) => {
                 tracing::info!("{} came in by OPC UA", user.name);
@@ -63,7 +50,7 @@ impl AuthManager for Authenticator {
 
     /// The standard's own methods are for everybody, those of this server change something.
     fn is_user_executable(&self, token: &UserToken, method_id: &NodeId) -> bool {
-        let user = || self.find(|users| users.named(&token.0));
+        let user = || self.0.find(|users| users.named(&token.0));
         method_id.namespace == 0 || user().is_some_and(|user| user.role.acknowledges())
     }
 }

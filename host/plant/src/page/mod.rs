@@ -37,7 +37,7 @@ use tokio::time::interval;
 use tokio_stream::wrappers::{IntervalStream, WatchStream};
 use tokio_stream::{Stream, StreamExt};
 
-use crate::access::{Role, User, UsersError};
+use crate::access::{Role, User, UsersError, UsersFile};
 use crate::acknowledge::{Acknowledging, MOST_REASON, Refused};
 use crate::history::HistoryFile;
 use crate::live::Live;
@@ -46,7 +46,6 @@ use crate::settings::Settings;
 use crate::standing::Standing;
 pub use entry::Names;
 use language::Language;
-pub use users::UsersFile;
 use views::{Board, CheckPage, List};
 
 /// Checks on one page of the list.

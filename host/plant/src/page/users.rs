@@ -1,8 +1,8 @@
 //! Who has a token: an admin sees it, gives new ones and revokes old ones. The file is the truth: every change reads it, writes it whole, and
 //! counts from then on.
 
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::path::Path;
+use std::sync::Arc;
 
 use askama::Template;
 use axum::extract::{Extension, Form, State};
@@ -14,60 +14,6 @@ use super::views::UsersPage;
 use super::{Failed, Shown, Site};
 use crate::access::{Role, User, Users, UsersError};
 
-/// The file of users, and what was last read of it.
-#[derive(Debug)]
-pub struct UsersFile {
-    path: PathBuf,
-    users: RwLock<Arc<Users>>,
-    /// One change at a time.
-    change: Mutex<()>,
-}
-
-impl UsersFile {
-    /// Reads a file with at least one user.
-    ///
-    /// # Errors
-    /// It cannot be read, others can read it, or it names nobody.
-    pub fn load(path: &Path) -> Result<Self, UsersError> {
-        Ok(Self {
-            path: path.into(),
-            users: RwLock::new(Arc::new(Users::load(path)?)),
-            change: Mutex::new(()),
-        })
-    }
-
-    /// Whose token it is.
-    pub fn of_token(&self, token: &str) -> Option<User> {
-        self.current().of_token(token).cloned()
-    }
-
-    fn current(&self) -> Arc<Users> {
-        let users = self.users.read().unwrap_or_else(PoisonError::into_inner);
-        Arc::clone(&users)
-    }
-
-    /// Changes the file, and reads it anew. Whose role was taken away in the file meanwhile changes nothing.
-    fn changed<T>(
-        &self,
-        user: &User,
-        change: impl FnOnce(&Path) -> Result<T, UsersError>,
-    ) -> Result<T, Failed> {
-        let _one = self.change.lock().unwrap_or_else(PoisonError::into_inner);
-        self.reload()?;
-        let now = self.current();
-        require_admin(now.named(&user.name).ok_or(Failed::NoAdmin)?)?;
-        let done = change(&self.path)?;
-        self.reload()?;
-        Ok(done)
-    }
-
-    fn reload(&self) -> Result<(), UsersError> {
-        let users = Arc::new(Users::load(&self.path)?);
-        *self.users.write().unwrap_or_else(PoisonError::into_inner) = users;
-        Ok(())
-    }
-}
-
 /// Changes the file where it holds up nobody, if the user may.
 async fn change<T: Send + 'static>(
     site: &Arc<Site>,
@@ -76,7 +22,14 @@ async fn change<T: Send + 'static>(
 ) -> Result<T, Failed> {
     require_admin(user)?;
     let (site, user) = (Arc::clone(site), user.clone());
-    tokio::task::spawn_blocking(move || site.users.changed(&user, change)).await?
+    let changed = move || {
+        site.users.changed(|now, path| {
+            // Whose role was taken away in the file meanwhile changes nothing.
+            require_admin(now.named(&user.name).ok_or(Failed::NoAdmin)?)?;
+            Ok(change(path)?)
+        })
+    };
+    tokio::task::spawn_blocking(changed).await?
 }
 
 fn require_admin(user: &User) -> Result<(), Failed> {
@@ -87,7 +40,7 @@ fn require_admin(user: &User) -> Result<(), Failed> {
 }
 
 fn page(site: &Site, lang: Language, user: &User, given: Option<(&str, &str)>) -> Shown {
-    let users = site.users.current();
+    let users = site.users.now()?;
     let page = UsersPage {
         lang,
         users: users.all(),
