@@ -105,6 +105,10 @@ impl LiveWatch {
             WatchEvent::Resumed(shown) | WatchEvent::Expired(shown) => {
                 self.state.shown = shown.word().into();
             }
+            WatchEvent::Requested(who) => {
+                self.state.due_cycles = self.state.press_cycles;
+                self.note(format!("{who} wants a check at the next opening"));
+            }
             WatchEvent::Acknowledged => {
                 self.state.shown = Shown::Unchecked.word().into();
                 self.state.due_cycles = self.state.press_cycles;

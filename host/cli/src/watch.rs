@@ -216,6 +216,11 @@ impl<'a> Log<'a> {
                 shown.word()
             )),
             WatchEvent::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
+            WatchEvent::Requested(who) => {
+                self.say(&format!(
+                    "{who} wants a check: it is made at the next opening"
+                ));
+            }
             WatchEvent::Acknowledged => self.say("acknowledged: the next check decides anew"),
             WatchEvent::Checked(mut checked) => self.keep(&mut checked),
         }

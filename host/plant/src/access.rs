@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 pub enum Role {
     /// See everything.
     View,
-    /// Acknowledge a no-go, too.
+    /// Acknowledge a no-go and start a check, too.
     Acknowledge,
     /// Give and revoke tokens, too.
     Admin,

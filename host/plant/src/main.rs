@@ -1,11 +1,13 @@
 //! `flankscope-plant`: what a plant sees of a station. It reads the station's history and serves a page, metrics and a fieldbus
-//! word, and sends its checks to a broker; it sends nothing to the instrument, whose checks go on whether this process runs, hangs or dies.
+//! word, and sends its checks to a broker; all that it asks of the instrument is a check at the next opening. Checks go on whether
+//! this process runs, hangs or dies.
 //!
 //! | file | holds |
 //! |---|---|
 //! | `settings` | `plant.toml` |
 //! | `access` | who may see the page: names and hashes of their tokens |
 //! | `acknowledge` | clearing a no-go, with name and reason |
+//! | `start_check` | starting a check before it is due |
 //! | `history` | the history's file, kept open |
 //! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
@@ -40,6 +42,7 @@ mod page;
 mod percent;
 mod settings;
 mod standing;
+mod start_check;
 
 use std::ffi::OsString;
 use std::path::PathBuf;

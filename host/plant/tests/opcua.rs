@@ -619,10 +619,16 @@ fn who_may_acknowledges_with_name_and_reason() {
     let call = |name: &str, number: i64, reason: &str| json!({"do": "call", "path": tool(name, "Acknowledge"), "arguments": [number, reason]});
     let refused = viewer.ask(call("die", 1, "looked")).unwrap_err();
     assert!(refused.contains("BadUserAccessDenied"), "{refused}");
+    let start = json!({"do": "call", "path": tool("die", "StartCheck"), "arguments": []});
+    let refused = viewer.ask(start.clone()).unwrap_err();
+    assert!(refused.contains("BadUserAccessDenied"), "{refused}");
     let mut anna = station.client("Annas tablet");
     station.trust(&mut anna);
     anna.connect(&station.anna, "Anna", SECURE).unwrap();
     anna.browse_until(&tool("other", "Acknowledge"));
+    // Nothing would make the check: no watch runs here.
+    let refused = anna.ask(start).unwrap_err();
+    assert!(refused.contains("BadInvalidState"), "{refused}");
     let [long, endless] = [201, 100_000].map(|length| "x".repeat(length));
     for (name, number, reason, why) in [
         ("die", 1, "", "BadInvalidArgument"),

@@ -205,6 +205,55 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     assert_eq!(who, "Anna: insert changed");
 }
 
+#[test]
+fn a_check_is_started_by_who_may_and_only_where_a_watch_runs() {
+    let station = Station::new(3600);
+    let users = station.folder.path().join("users.toml");
+    let screen = printed(&["token", "screen", "--users"], &users);
+    let plant = station.serve();
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    let anna = bearer(&station.token);
+    assert_eq!(plant.post("/start-check", "", "").status, 401);
+    let nobody = plant.post("/start-check", &anna, "");
+    assert!(
+        nobody.status == 409 && nobody.text.contains("no watch runs"),
+        "{}",
+        nobody.text
+    );
+    let mut watch = flankscope();
+    // Due at its beginning, and then not for months.
+    watch.args([
+        "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "1000000",
+    ]);
+    watch.arg("--history").arg(station.history());
+    let watch = watch.stdin(Stdio::null()).stderr(Stdio::piped()).spawn();
+    let mut watch = Killed(watch.unwrap());
+    let mut lines = BufReader::new(watch.0.stderr.take().unwrap()).lines();
+    plant.page_with("/checks", "/checks/1\"");
+    assert_eq!(plant.post("/start-check", &bearer(&screen), "").status, 403);
+    let elsewhere = format!("{anna}Origin: https://evil.example\r\n");
+    assert_eq!(plant.post("/start-check", &elsewhere, "").status, 403);
+    assert_eq!(plant.post("/start-check", &anna, "").status, 303);
+    let wanted = "Anna wants a check";
+    assert!(lines.any(|line| line.unwrap().contains(wanted)));
+    plant.page_with("/checks", "/checks/2\"");
+    // One request is one check, however often the press opens afterwards.
+    std::thread::sleep(Duration::from_secs(3));
+    assert!(!plant.with_token("/checks").text.contains("/checks/3\""));
+    assert!(
+        plant
+            .with_token("/")
+            .text
+            .contains("action=\"/start-check\"")
+    );
+    assert!(
+        !plant
+            .get("/", &bearer(&screen))
+            .text
+            .contains("action=\"/start-check\"")
+    );
+}
+
 /// A line to show, what it prints further, its token and its folder.
 fn demo_line() -> (Child, Printed, String, PathBuf) {
     let mut child = plant()

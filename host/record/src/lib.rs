@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`check_request`] | a check that somebody wants before it is due |
 //! | [`document`] | the documents of checks |
 //! | [`history`] | checks, baselines and acknowledgements of a press in one SQLite file, and analyses of them |
 //! | [`baseline`] | the deviations of a tool when new |
@@ -14,6 +15,7 @@
 //! page and analyses read them.
 
 pub mod baseline;
+pub mod check_request;
 pub mod die;
 pub mod document;
 pub mod history;

@@ -66,6 +66,8 @@ pub enum WatchEvent {
     Resumed(Shown),
     /// No check was made for twice the interval: this is shown from now on instead of a go.
     Expired(Shown),
+    /// Somebody wants a check, which is made at the next opening.
+    Requested(String),
     /// A verdict was acknowledged.
     Acknowledged,
     /// An acknowledgement could not be stored, and does not count.
@@ -138,6 +140,8 @@ struct Watch<'a, T> {
     first: u32,
     cycle: u32,
     checked_at: u32,
+    /// Somebody wants a check before it is due.
+    is_requested: bool,
     /// Interval of repeating the verdict: without repetition it expires, and the press treats an expired verdict as no-go.
     refresh: Duration,
     next_refresh: Instant,
@@ -172,6 +176,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             first: cycle,
             cycle,
             checked_at: cycle,
+            is_requested: false,
             refresh: Duration::from_micros(u64::from(client.identity().verdict_life.get())) / 4,
             next_refresh: Instant::now(),
             client,
@@ -237,11 +242,28 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
                 return Ok(ControlFlow::Break(()));
             }
         }
-        let due = since >= self.settings.every || self.latch.shown() == Shown::Unchecked;
+        if self.take_request().is_break() {
+            return Ok(ControlFlow::Break(()));
+        }
+        let due = self.is_requested
+            || since >= self.settings.every
+            || self.latch.shown() == Shown::Unchecked;
         if opened && due {
             return self.check().await;
         }
         Ok(ControlFlow::Continue(()))
+    }
+
+    /// Notes a request for a check, if there is one.
+    fn take_request(&mut self) -> ControlFlow<()> {
+        let writer = self.writer.as_ref();
+        match writer.and_then(|writer| writer.take_check_request()) {
+            Some(who) => {
+                self.is_requested = true;
+                self.tell(WatchEvent::Requested(who))
+            }
+            None => ControlFlow::Continue(()),
+        }
     }
 
     /// Handles an acknowledgement, which counts once it is stored.
@@ -320,6 +342,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         };
         self.cycle = self.cycle.max(inspection.press_cycles);
         self.checked_at = inspection.press_cycles;
+        self.is_requested = false;
         let shown = self.latch.take(inspection.verdict);
         self.acknowledgements = acknowledgements.filter(|_| inspection.id.is_some());
         self.show().await?;

@@ -1,4 +1,4 @@
-//! OPC UA: what stands for every tool, its last check with all flanks, an event for every check, and a method that acknowledges. All
+//! OPC UA: what stands for every tool, its last check with all flanks, an event for every check, and methods that acknowledge and start a check. All
 //! of it is signed and encrypted, for clients whose certificates are trusted and users with a token.
 //!
 //! | file | holds |

@@ -1,4 +1,4 @@
-//! The nodes as the server holds them: they are replaced by what stands, and the method that acknowledges.
+//! The nodes as the server holds them: they are replaced by what stands, and the methods that acknowledge and start a check.
 
 use std::collections::BTreeMap;
 
@@ -15,11 +15,14 @@ use opcua::types::{
     ReferenceTypeId, StatusCode, Variant,
 };
 
-use super::space::{DEVICES, Kind, MACHINERY, Names, Node};
+use flankscope_record::check_request::RequestError;
+
+use super::space::{DEVICES, Kind, MACHINERY, Method, Names, Node};
 use super::types::{self, NAMESPACE, Types};
 use super::users::Authenticator;
 use crate::access::User;
 use crate::acknowledge::{Acknowledging, Refused};
+use crate::start_check::{NotStarted, start_check};
 
 /// The server's holder of this program's nodes.
 pub type Manager = InMemoryNodeManager<PlantNodes>;
@@ -27,14 +30,14 @@ pub type Manager = InMemoryNodeManager<PlantNodes>;
 /// What is shown now, by the text of its identifier.
 pub type Shown = BTreeMap<String, Node>;
 
-/// What the method needs beside the nodes.
+/// What the methods need beside the nodes.
 pub struct PlantNodes {
     pub names: Names,
     namespaces: Vec<NamespaceMetadata>,
     users: Authenticator,
     acknowledging: Acknowledging,
-    /// Tools by the text of their method's identifier.
-    tools: RwLock<BTreeMap<String, String>>,
+    /// Methods, and the tools they are of, by the text of the method's identifier.
+    methods: RwLock<BTreeMap<String, (Method, String)>>,
 }
 
 impl PlantNodes {
@@ -76,19 +79,46 @@ impl PlantNodes {
             namespaces,
             users,
             acknowledging,
-            tools: RwLock::default(),
+            methods: RwLock::default(),
         }
     }
 
-    /// Acknowledges the no-go that a call names, with the reason that it gives.
-    async fn acknowledge(&self, user: &User, call: &MethodCall) -> Result<(), StatusCode> {
-        let tool = self
-            .tools
-            .read()
-            .get(&call.method_id().to_string())
-            .cloned();
-        let tool = tool.ok_or(StatusCode::BadMethodInvalid)?;
-        let [Variant::Int64(number), Variant::String(reason)] = call.arguments() else {
+    /// Does what a call asks for.
+    async fn run(&self, user: &User, call: &MethodCall) -> Result<(), StatusCode> {
+        let of = call.method_id().to_string();
+        let found = self.methods.read().get(&of).cloned();
+        let (method, tool) = found.ok_or(StatusCode::BadMethodInvalid)?;
+        match method {
+            Method::Acknowledge => self.acknowledge(user, tool, call.arguments()).await,
+            Method::StartCheck => self.start_check(user, tool).await,
+        }
+    }
+
+    /// Has a check made.
+    async fn start_check(&self, user: &User, tool: String) -> Result<(), StatusCode> {
+        let (history, user) = (self.acknowledging.history.clone(), user.clone());
+        let start = move || start_check(&history, &user, Some(&tool));
+        let started = tokio::task::spawn_blocking(start)
+            .await
+            .map_err(|_| StatusCode::BadInternalError)?;
+        started.map_err(|why| match why {
+            NotStarted::NotAllowed(_) => StatusCode::BadUserAccessDenied,
+            NotStarted::Request(RequestError::Io { path, source }) => {
+                tracing::warn!("opcua: {}: {source}", path.display());
+                StatusCode::BadNoCommunication
+            }
+            NotStarted::Request(_) => StatusCode::BadInvalidState,
+        })
+    }
+
+    /// Acknowledges the no-go that the arguments name, with the reason that they give.
+    async fn acknowledge(
+        &self,
+        user: &User,
+        tool: String,
+        arguments: &[Variant],
+    ) -> Result<(), StatusCode> {
+        let [Variant::Int64(number), Variant::String(reason)] = arguments else {
             return Err(StatusCode::BadInvalidArgument);
         };
         let (number, reason) = (*number, reason.as_ref().to_owned());
@@ -133,7 +163,7 @@ impl InMemoryNodeManagerImpl for PlantNodes {
             .find(|users| users.named(&context.user_token().0));
         for call in methods_to_call {
             let done = match &user {
-                Some(user) => self.acknowledge(user, call).await,
+                Some(user) => self.run(user, call).await,
                 None => Err(StatusCode::BadUserAccessDenied),
             };
             call.set_status(done.err().unwrap_or(StatusCode::Good));
@@ -158,7 +188,7 @@ pub fn show(
             |key: &String, node: &Node| next.get(key).is_some_and(|next| next.is_same_place(node));
         for (key, node) in before.iter().filter(|(key, node)| !stays(key, node)) {
             delete(&mut space, node);
-            manager.inner().tools.write().remove(key);
+            manager.inner().methods.write().remove(key);
             if matches!(node.kind, Kind::Variable { .. }) && !next.contains_key(key) {
                 gone.push(node.id.clone());
             }
@@ -168,9 +198,9 @@ pub fn show(
             let is_there = before.get(key).is_some_and(|it| node.is_same_place(it));
             if !is_there && !space.node_exists(&node.id) {
                 insert(&mut space, manager.inner().names, node);
-                if let Kind::Acknowledge { tool } = &node.kind {
-                    let mut tools = manager.inner().tools.write();
-                    tools.insert(key.clone(), tool.clone());
+                if let Kind::Method { tool, method } = &node.kind {
+                    let mut methods = manager.inner().methods.write();
+                    methods.insert(key.clone(), (*method, tool.clone()));
                 }
             }
         }
@@ -209,7 +239,7 @@ fn identifier(id: &NodeId) -> &str {
 }
 
 fn delete(space: &mut AddressSpace, node: &Node) {
-    if matches!(node.kind, Kind::Acknowledge { .. }) {
+    if matches!(node.kind, Kind::Method { .. }) {
         space.delete(&arguments_id(node), true);
     }
     space.delete(&node.id, true);
@@ -257,7 +287,7 @@ fn insert(space: &mut AddressSpace, names: Names, node: &Node) {
                 variable.set_data_value(value);
             }
         }
-        Kind::Acknowledge { .. } => {
+        Kind::Method { method, .. } => {
             let argument = |name: &str, data_type: DataTypeId, description: &str| Argument {
                 name: name.into(),
                 data_type: data_type.into(),
@@ -265,15 +295,20 @@ fn insert(space: &mut AddressSpace, names: Names, node: &Node) {
                 array_dimensions: None,
                 description: LocalizedText::new("en", description),
             };
-            let arguments = [
-                argument("Number", DataTypeId::Int64, "LatchedNumber as it was read"),
-                argument("Reason", DataTypeId::String, "1 to 200 characters"),
-            ];
-            MethodBuilder::new(&node.id, name, node.name.as_str())
+            let builder = MethodBuilder::new(&node.id, name, node.name.as_str())
                 .executable(true)
-                .user_executable(true)
-                .input_args(space, &arguments_id(node), &arguments)
-                .insert(space);
+                .user_executable(true);
+            match method {
+                Method::StartCheck => builder,
+                Method::Acknowledge => {
+                    let arguments = [
+                        argument("Number", DataTypeId::Int64, "LatchedNumber as it was read"),
+                        argument("Reason", DataTypeId::String, "1 to 200 characters"),
+                    ];
+                    builder.input_args(space, &arguments_id(node), &arguments)
+                }
+            }
+            .insert(space);
         }
     }
     space.insert_reference(&node.parent, &node.id, node.reference);

@@ -59,8 +59,27 @@ pub enum Kind {
         /// Value while nothing is known: a controller that looks at no status must not go on with the last one.
         safe: Option<Variant>,
     },
-    /// The method that clears a no-go of this tool.
-    Acknowledge { tool: String },
+    /// A method of this tool.
+    Method { tool: String, method: Method },
+}
+
+/// What a client can do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Clear a no-go.
+    Acknowledge,
+    /// Have a check made at the next opening.
+    StartCheck,
+}
+
+impl Method {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Acknowledge => "Acknowledge",
+            Self::StartCheck => "StartCheck",
+        }
+    }
 }
 
 impl Node {
@@ -357,17 +376,20 @@ impl Nodes {
         self.variable(&id, "CycleCount", cycles);
 
         self.standing(&id, standing, tool, now, status);
-        let method = self.child(&id, "Acknowledge");
-        self.nodes.push(Node {
-            id: method,
-            parent: id.clone(),
-            reference: ReferenceTypeId::HasComponent,
-            namespace: self.names.own,
-            name: "Acknowledge".into(),
-            kind: Kind::Acknowledge {
-                tool: last.tool.clone(),
-            },
-        });
+        for method in [Method::Acknowledge, Method::StartCheck] {
+            let name = method.name();
+            self.nodes.push(Node {
+                id: self.child(&id, name),
+                parent: id.clone(),
+                reference: ReferenceTypeId::HasComponent,
+                namespace: self.names.own,
+                name: name.into(),
+                kind: Kind::Method {
+                    tool: last.tool.clone(),
+                    method,
+                },
+            });
+        }
 
         let results = self.part(&id, "Results", ObjectTypeId::FolderType);
         let latest = self.part(&results, "Latest", base);

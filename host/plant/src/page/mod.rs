@@ -27,6 +27,7 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{Html, IntoResponse, Redirect, Response};
 use axum::routing::{get, post};
 use flankscope_metrology::verdict::Word;
+use flankscope_record::check_request::RequestError;
 use flankscope_record::history::{Forecast, History, HistoryError, series};
 use flankscope_record::seal::Seals;
 use flankscope_report::history_html;
@@ -44,6 +45,7 @@ use crate::live::Live;
 use crate::metrics;
 use crate::settings::Settings;
 use crate::standing::Standing;
+use crate::start_check::{NotStarted, start_check};
 pub use entry::Names;
 use language::Language;
 use views::{Board, CheckPage, List};
@@ -124,7 +126,21 @@ enum Failed {
     NoReason,
     /// No unacknowledged no-go has this number: a newer one stands, or somebody was faster.
     NotStanding(i64),
+    /// Nothing obeys a request for a check.
+    NotStarted(RequestError),
     Because(String),
+}
+
+impl From<NotStarted> for Failed {
+    fn from(why: NotStarted) -> Self {
+        match why {
+            NotStarted::NotAllowed(_) => Self::NotAllowed,
+            NotStarted::Request(error @ RequestError::Io { .. }) => {
+                Self::Because(error.to_string())
+            }
+            NotStarted::Request(error) => Self::NotStarted(error),
+        }
+    }
 }
 
 impl From<HistoryError> for Failed {
@@ -171,7 +187,7 @@ impl IntoResponse for Failed {
             Self::NotThere => (StatusCode::NOT_FOUND, "there is no such page\n").into_response(),
             Self::NotAllowed => (
                 StatusCode::FORBIDDEN,
-                "this token may look, not acknowledge\n",
+                "this token may look, not acknowledge or start checks\n",
             )
                 .into_response(),
             Self::NoAdmin => {
@@ -197,6 +213,7 @@ impl IntoResponse for Failed {
                 );
                 (StatusCode::CONFLICT, why).into_response()
             }
+            Self::NotStarted(why) => (StatusCode::CONFLICT, format!("{why}\n")).into_response(),
             Self::Because(why) => {
                 (StatusCode::SERVICE_UNAVAILABLE, format!("{why}\n")).into_response()
             }
@@ -218,6 +235,7 @@ pub fn routes(site: Arc<Site>) -> Router {
         .route("/reports/{page}", get(report))
         .route("/metrics", get(scraped))
         .route("/acknowledge", post(acknowledge))
+        .route("/start-check", post(started))
         .route("/users", get(users::shown).post(users::given))
         .route("/users/revoke", post(users::revoked))
         .layer(middleware::from_fn_with_state(
@@ -256,6 +274,17 @@ async fn acknowledge(
     Ok(Redirect::to("/"))
 }
 
+/// Asks the watch for a check at the next opening.
+async fn started(
+    State(site): State<Arc<Site>>,
+    Extension(user): Extension<User>,
+) -> Result<Redirect, Failed> {
+    let history = site.acknowledging.history.clone();
+    let start = move || start_check(&history, &user, None);
+    tokio::task::spawn_blocking(start).await??;
+    Ok(Redirect::to("/"))
+}
+
 type Shown = Result<Html<String>, Failed>;
 
 async fn home(
@@ -274,6 +303,7 @@ async fn home(
         board,
         now,
         has_map3d: has_map3d.unwrap_or(false),
+        acknowledges: user.role.acknowledges(),
         is_admin: user.role == Role::Admin,
     };
     Ok(Html(home.render()?))

@@ -42,6 +42,8 @@ pub struct Home {
     pub now: String,
     /// Whether there are maps in space.
     pub has_map3d: bool,
+    /// Whether its reader acknowledges and starts checks.
+    pub acknowledges: bool,
     /// Whether its reader gives and revokes tokens.
     pub is_admin: bool,
 }
@@ -174,8 +176,8 @@ impl Board {
                     last.origin.station,
                     lang.of("head", "Messkopf"),
                     last.origin.head.name,
-                    last.tool_cycles,
                     lang.of("press cycles", "Pressenhübe"),
+                    last.tool_cycles,
                 ),
                 counts: of
                     .counts

@@ -9,6 +9,7 @@ use super::phasors::pack;
 use super::retention::Retention;
 use super::store::History;
 use crate::baseline::Baseline;
+use crate::check_request::take_check_request;
 use crate::die::DieKey;
 use crate::document::Inspection;
 use crate::sink::{ResultSink, SinkError};
@@ -113,6 +114,12 @@ impl HistoryWriter {
     /// The history cannot be read.
     pub fn acknowledgement_count(&self, die: &DieKey) -> Result<i64, HistoryError> {
         self.history.acknowledgement_count(die)
+    }
+
+    /// Takes away a request for a check, and returns who made it.
+    #[must_use]
+    pub fn take_check_request(&self) -> Option<String> {
+        take_check_request(self.history.path())
     }
 
     /// Locks a die for a watch, after verifying the history's chain. `None` if the station keeps no folder in which another watch
