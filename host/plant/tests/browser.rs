@@ -17,8 +17,8 @@ const CHECKS_OF_A_DAY: u32 = 480;
 const BOARDS: u32 = 2000;
 
 /// The station's page after somebody typed the token and clicked.
-fn logged_in(plant: &Plant, width_px: u32, height_px: u32) -> Option<Screen> {
-    let mut screen = Screen::open(width_px, height_px)?;
+fn logged_in(plant: &Plant) -> Option<Screen> {
+    let mut screen = Screen::open(1280, 800)?;
     screen.go_to(&format!("http://{}/", plant.page));
     screen.until("document.activeElement?.name === \"token\"");
     screen.type_text("wrong");
@@ -29,6 +29,17 @@ fn logged_in(plant: &Plant, width_px: u32, height_px: u32) -> Option<Screen> {
     screen.click("button");
     screen.until("typeof events === \"object\" && events.readyState === EventSource.OPEN");
     Some(screen)
+}
+
+/// A station whose press made one check, with go, and its page on a screen; none where there is no browser.
+fn page_of_a_sound_die() -> Option<(Station, Press, Plant, Screen)> {
+    let station = Station::new(3600);
+    let mut press = Press::new(&station.history());
+    press.check_now("die", 40, Word::Go);
+    let plant = station.serve();
+    plant.board_with("verdict go");
+    let screen = logged_in(&plant)?;
+    Some((station, press, plant, screen))
 }
 
 /// Whether something of the page lies beyond its right edge.
@@ -49,12 +60,7 @@ const NO_GO: [u8; 3] = [0xa3, 0x14, 0x2a];
 
 #[test]
 fn a_no_go_appears_by_itself_and_is_cleared_by_clicks() {
-    let station = Station::new(3600);
-    let mut press = Press::new(&station.history());
-    press.check_now("die", 40, Word::Go);
-    let plant = station.serve();
-    plant.board_with("verdict go");
-    let Some(mut screen) = logged_in(&plant, 1280, 800) else {
+    let Some((_station, mut press, plant, mut screen)) = page_of_a_sound_die() else {
         return;
     };
     screen.until_shown(".verdict", "GO");
@@ -135,12 +141,7 @@ fn a_no_go_appears_by_itself_and_is_cleared_by_clicks() {
 
 #[test]
 fn a_page_that_is_open_for_a_day_of_checks_does_not_grow() {
-    let station = Station::new(3600);
-    let mut press = Press::new(&station.history());
-    press.check_now("die", 40, Word::Go);
-    let plant = station.serve();
-    plant.board_with("verdict go");
-    let Some(mut screen) = logged_in(&plant, 1280, 800) else {
+    let Some((_station, mut press, plant, mut screen)) = page_of_a_sound_die() else {
         return;
     };
     screen.ask("Performance.enable", json!({}));

@@ -66,8 +66,8 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
     let mut tests = built.tests;
     // What never ran may be long; on a new machine these are known to be.
     let expected = |test: &TestProgram| {
-        let dear = LONGEST.iter().rev().position(|name| *name == test.name);
-        let unknown = dear.map_or(1e6, |place| 1e6 * (place + 2) as f64);
+        let place = LONGEST.iter().position(|name| *name == test.name);
+        let unknown = 1e6 - place.unwrap_or(LONGEST.len()) as f64;
         last.get(&test.name).copied().unwrap_or(unknown)
     };
     tests.sort_by(|a, b| expected(b).total_cmp(&expected(a)));

@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -58,7 +57,10 @@ impl Screen {
                 "--mute-audio",
             ])
             .arg(format!("--window-size={width_px},{height_px}"))
-            .arg(user_data(profile.path()))
+            .arg(format!(
+                "--user-data-dir={}",
+                profile.path().join("profile").display()
+            ))
             .env("REQUESTS", &requests)
             .env("ANSWERS", &answers)
             .stdin(Stdio::null())
@@ -208,8 +210,4 @@ impl Screen {
             metric.unwrap()["value"].as_f64().unwrap()
         })
     }
-}
-
-fn user_data(folder: &Path) -> String {
-    format!("--user-data-dir={}", folder.join("profile").display())
 }
