@@ -39,9 +39,9 @@ impl CoreGrid {
     /// phase at the brightness-weighted mean position, so that position, from the map, is taken as the box's.
     pub fn new(map: &CoreMap, circle: Option<&ImageCircle>) -> Self {
         let pitch_px = map.pitch_px().unwrap_or(BOX_PX as f64);
-        let reach = (0.5 * BOX_PX as f64 * std::f64::consts::SQRT_2 + 3.5 * map.core_sigma_px)
-            .max(RING_PITCH * pitch_px);
-        let buckets = Buckets::new(&map.positions_px, reach);
+        let ring_px = RING_PITCH * pitch_px;
+        let caught = Caught::new(map.core_sigma_px);
+        let buckets = Buckets::new(&map.positions_px, (caught.reach_px + 0.5).max(ring_px));
         let (width, height) = (map.width_px as usize, map.height_px as usize);
         let corner = |at: f64, size: usize| {
             let first = at.round() - (BOX_PX / 2) as f64;
@@ -71,11 +71,14 @@ impl CoreGrid {
         }
         let seen = |&(top, left, core): &(usize, usize, usize)| {
             let (mut sum, mut weight) = ([0.0; 2], 0.0);
+            let middle = [left, top].map(|first| (first + BOX_PX / 2) as f64);
             for other in buckets.near(map.positions_px[core]) {
                 let at = map.positions_px[other];
-                let light = f64::from(map.gains[other])
-                    * caught(left, at[0], map.core_sigma_px)
-                    * caught(top, at[1], map.core_sigma_px);
+                let [x, y] = [at[0] - middle[0], at[1] - middle[1]];
+                if x.abs().max(y.abs()) > caught.reach_px {
+                    continue;
+                }
+                let light = f64::from(map.gains[other]) * caught.of(x) * caught.of(y);
                 weight += light;
                 sum = [sum[0] + light * at[0], sum[1] + light * at[1]];
             }
@@ -87,7 +90,8 @@ impl CoreGrid {
             let mut found = 0;
             for other in buckets.near(at) {
                 let place = map.positions_px[other];
-                let near = (place[0] - at[0]).hypot(place[1] - at[1]) < RING_PITCH * pitch_px;
+                let squared = (place[0] - at[0]).powi(2) + (place[1] - at[1]).powi(2);
+                let near = squared < ring_px * ring_px;
                 // NONE is larger than any cell.
                 if near && (cell_of[other] as usize) < cell && found < ring.len() {
                     ring[found] = cell_of[other];
@@ -141,9 +145,30 @@ impl CoreGrid {
     }
 }
 
-/// The part of a Gaussian image about `centre` that falls on the box's pixels along one axis, but for a constant.
-fn caught(first: usize, centre: f64, sigma: f64) -> f64 {
-    (first..first + BOX_PX)
-        .map(|pixel| (-0.5 * ((pixel as f64 - centre) / sigma).powi(2)).exp())
-        .sum()
+/// The part of a core's image that falls on the pixels of a box along one axis, but for a constant.
+struct Caught {
+    per_px2: f64,
+    /// Of a pixel beside the middle one, of a core at the middle.
+    beside: f64,
+    /// From a box's middle to cores whose light it catches: a pixel and 3.5 standard deviations.
+    reach_px: f64,
+}
+
+impl Caught {
+    fn new(sigma_px: f64) -> Self {
+        let per_px2 = 0.5 / (sigma_px * sigma_px);
+        Self {
+            per_px2,
+            beside: (-per_px2).exp(),
+            reach_px: (BOX_PX / 2) as f64 + 3.5 * sigma_px,
+        }
+    }
+
+    /// Of a core so far from the middle pixel of three: `exp(-(d ± 1)²) = exp(-d²) exp(-1) exp(∓2d)`.
+    fn of(&self, from_middle_px: f64) -> f64 {
+        const { assert!(BOX_PX == 3, "a pixel on either side") };
+        let middle = (-self.per_px2 * from_middle_px * from_middle_px).exp();
+        let tilt = (2.0 * self.per_px2 * from_middle_px).exp();
+        middle * (1.0 + self.beside * (tilt + tilt.recip()))
+    }
 }

@@ -69,24 +69,19 @@ struct Span {
 /// Patterns summed in one pass, so that their weights are read only once.
 const BLOCK: usize = 8;
 
-/// Cores that each pixel sees, its response, and the noise tables.
+/// Half the side of a core's image, in its standard deviations.
+const REACH_SIGMA: f64 = 3.5;
+
+/// Where each core's light falls, every pixel's response, and the noise tables.
 pub(crate) struct Sensor {
     spec: SensorSpec,
     size_px: [usize; 2],
     spans: Vec<Span>,
-    seen: Seen,
+    images: CoreImages,
     response: Vec<f32>,
     normals: Vec<f32>,
     dark: Vec<u16>,
     seed: u64,
-}
-
-/// Cores that the pixels of the spans see.
-struct Seen {
-    /// Index of the first weight of each pixel; the last entry is the total.
-    starts: Vec<u32>,
-    cores: Vec<u32>,
-    weights: Vec<f32>,
 }
 
 /// Light rates of one view on the sensor, e⁻/ms: per span, per pattern, per pixel.
@@ -113,9 +108,11 @@ impl Sensor {
         head_seed: u64,
         run_seed: u64,
     ) -> Self {
-        let (spans, seen) = seen(spec, size_px, bundle, 0.0);
+        let spans = spans(spec, size_px, bundle);
+        let images = CoreImages::new(spec, &spans, bundle, 0.0);
         let mut random = Normals::new(stream(head_seed, Purpose::PixelResponse));
-        let response = (1..seen.starts.len())
+        let pixels = spans.iter().map(|span| span.columns.len()).sum();
+        let response = (0..pixels)
             .map(|_| (1.0 + spec.prnu_ratio * random.next()).max(0.0) as f32)
             .collect();
         let mut random = Normals::new(stream(run_seed, Purpose::NoiseTable));
@@ -134,7 +131,7 @@ impl Sensor {
             spec: spec.clone(),
             size_px,
             spans,
-            seen,
+            images,
             response,
             normals,
             dark,
@@ -144,7 +141,7 @@ impl Sensor {
 
     /// Shifts the cores' image along the rows; every pixel keeps its own response.
     pub(crate) fn shift(&mut self, bundle: &Bundle, shift_px: f64) {
-        (_, self.seen) = seen(&self.spec, self.size_px, bundle, shift_px);
+        self.images = CoreImages::new(&self.spec, &self.spans, bundle, shift_px);
     }
 
     /// Distributes light per core (e⁻/ms per mean pixel, core by core, one entry per pattern) over the pixels.
@@ -168,43 +165,39 @@ impl Sensor {
             jobs.push((span, row));
         }
         jobs.into_par_iter()
+            .enumerate()
             .with_min_len(8)
-            .for_each(|(span, row)| {
+            .for_each_init(Vec::new, |pixels, (number, (span, row))| {
                 with_widest(
                     #[inline(always)]
-                    || self.expose_span(span, &blocks, patterns, row),
+                    || self.expose_span(number, span, &blocks, pixels, row),
                 );
             });
         Rates { values, patterns }
     }
 
-    /// Light on the pixels of a span, pattern by pattern.
+    /// Light on the pixels of a span, pattern by pattern; `pixels` is room for it.
     #[inline(always)]
     fn expose_span(
         &self,
+        number: usize,
         span: &Span,
         blocks: &[Vec<[f32; BLOCK]>],
-        patterns: usize,
+        pixels: &mut Vec<[f32; BLOCK]>,
         row: &mut [f32],
     ) {
         let length = span.columns.len();
-        for i in 0..length {
-            let pixel = span.first + i;
-            let starts = &self.seen.starts;
-            let seen = starts[pixel] as usize..starts[pixel + 1] as usize;
-            let response = self.response[pixel];
-            for (block, light) in blocks.iter().enumerate() {
-                let mut sum = [0f32; BLOCK];
-                for (&core, &weight) in self.seen.cores[seen.clone()]
-                    .iter()
-                    .zip(&self.seen.weights[seen.clone()])
+        let width = self.images.width;
+        let response = &self.response[span.first..span.first + length];
+        for (light, rows) in blocks.iter().zip(row.chunks_mut(BLOCK * length)) {
+            pixels.clear();
+            pixels.resize(length + 2 * width, [0.0; BLOCK]);
+            self.images.add(number, light, pixels);
+            for (k, of_pattern) in rows.chunks_exact_mut(length).enumerate() {
+                for ((to, sums), response) in
+                    of_pattern.iter_mut().zip(&pixels[width..]).zip(response)
                 {
-                    for (s, l) in sum.iter_mut().zip(&light[core as usize]) {
-                        *s += weight * l;
-                    }
-                }
-                for (k, s) in sum.iter().enumerate().take(patterns - block * BLOCK) {
-                    row[(block * BLOCK + k) * length + i] = s * response;
+                    *to = sums[k] * response;
                 }
             }
         }
@@ -299,103 +292,137 @@ impl Counts {
     }
 }
 
-/// Weights of one row's pixels.
-struct RowWeights {
-    row: usize,
-    columns: Range<usize>,
-    /// Index after each pixel's last weight.
-    ends: Vec<u32>,
-    cores: Vec<u32>,
-    weights: Vec<f32>,
+/// The images of all cores on the sensor. A Gaussian is the product of one along the rows and one along the columns, so a core needs
+/// as many weights as its image has columns and rows, not as it has pixels.
+struct CoreImages {
+    /// Columns of a core's image.
+    width: usize,
+    /// Weights of its columns, core by core.
+    along_row: Vec<f32>,
+    /// Index of the first entry of each span; the last one is the total.
+    starts: Vec<u32>,
+    /// Cores that light a span.
+    entries: Vec<LitRow>,
 }
 
-/// The pixels that see the bundle after its shift, and the cores that they see.
-fn seen(
-    spec: &SensorSpec,
-    size_px: [usize; 2],
-    bundle: &Bundle,
-    shift_px: f64,
-) -> (Vec<Span>, Seen) {
-    let rows: Vec<RowWeights> = (0..size_px[1])
-        .into_par_iter()
-        .filter_map(|row| row_weights(spec, size_px, bundle, row, shift_px))
-        .collect();
-    let mut spans = Vec::new();
-    // 12 million weights: growing the vectors would copy them several times.
-    let pixels: usize = rows.iter().map(|row| row.ends.len()).sum();
-    let weights: usize = rows.iter().map(|row| row.weights.len()).sum();
-    let mut seen = Seen {
-        starts: Vec::with_capacity(pixels + 1),
-        cores: Vec::with_capacity(weights),
-        weights: Vec::with_capacity(weights),
-    };
-    seen.starts.push(0);
-    for row in rows {
-        spans.push(Span {
-            row: row.row,
-            columns: row.columns,
-            first: seen.starts.len() - 1,
+/// A row of a core's image.
+#[derive(Clone, Copy)]
+struct LitRow {
+    core: u32,
+    /// First column of the core's image, counted from `width` columns before the span.
+    first: u32,
+    weight: f32,
+}
+
+impl CoreImages {
+    fn new(spec: &SensorSpec, spans: &[Span], bundle: &Bundle, shift_px: f64) -> Self {
+        let reach_px = REACH_SIGMA * spec.core_sigma_px;
+        let width = (2.0 * reach_px).floor() as usize + 1;
+        let pitch = bundle.spec().pitch_px();
+        let variance = spec.core_sigma_px * spec.core_sigma_px;
+        let gauss = |offset_px: f64| (-0.5 * offset_px * offset_px / variance).exp();
+        // A core's light is spread over a cell of the lattice: rates are per mean pixel.
+        let peak = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * variance);
+        let place = |&[x, y]: &[f64; 2]| [x + shift_px, y];
+        let first = |at: f64| (at - reach_px).ceil();
+        let along_row = bundle.positions_px().par_iter().flat_map_iter(|at| {
+            let [x, _] = place(at);
+            (0..width).map(move |column| gauss(first(x) + column as f64 - x) as f32)
         });
-        let before = seen.cores.len() as u32;
-        seen.starts.extend(row.ends.iter().map(|end| before + end));
-        seen.cores.extend(row.cores);
-        seen.weights.extend(row.weights);
+        // Spans are rows that follow each other.
+        let top = spans.first().map_or(0, |span| span.row);
+        let lit = |core: usize| {
+            let [x, y] = place(&bundle.positions_px()[core]);
+            (0..width).filter_map(move |row| {
+                let row = first(y) + row as f64;
+                let at = (row >= top as f64).then_some(row as usize - top)?;
+                let span = spans.get(at)?;
+                let first = first(x) - span.columns.start as f64 + width as f64;
+                let inside = first >= 0.0 && first <= (span.columns.len() + width) as f64;
+                inside.then(|| {
+                    let entry = LitRow {
+                        core: core as u32,
+                        first: first as u32,
+                        weight: (peak * gauss(row - y)) as f32,
+                    };
+                    (at, entry)
+                })
+            })
+        };
+        let cores = 0..bundle.positions_px().len();
+        let mut starts = vec![0u32; spans.len() + 1];
+        for (at, _) in cores.clone().flat_map(lit) {
+            starts[at + 1] += 1;
+        }
+        for at in 0..spans.len() {
+            starts[at + 1] += starts[at];
+        }
+        let nothing = LitRow {
+            core: 0,
+            first: 0,
+            weight: 0.0,
+        };
+        let mut entries = vec![nothing; starts[spans.len()] as usize];
+        let mut next = starts.clone();
+        for (at, entry) in cores.flat_map(lit) {
+            entries[next[at] as usize] = entry;
+            next[at] += 1;
+        }
+        Self {
+            width,
+            along_row: along_row.collect(),
+            starts,
+            entries,
+        }
     }
-    (spans, seen)
-}
 
-fn row_weights(
-    spec: &SensorSpec,
-    size_px: [usize; 2],
-    bundle: &Bundle,
-    row: usize,
-    shift_px: f64,
-) -> Option<RowWeights> {
-    let reach_px = 3.5 * spec.core_sigma_px;
-    let [cx, cy] = bundle.spec().centre_px;
-    let radius = 0.5 * bundle.spec().diameter_px + 2.0 * bundle.spec().pitch_px() + reach_px;
-    let half = (radius * radius - (row as f64 - cy).powi(2))
-        .max(0.0)
-        .sqrt();
-    let columns = (cx - half).ceil().max(0.0) as usize
-        ..((cx + half).floor() + 1.0).clamp(0.0, size_px[0] as f64) as usize;
-    if columns.is_empty() {
-        return None;
-    }
-    // A core's light is spread over a cell of the lattice: rates are per mean pixel.
-    let pitch = bundle.spec().pitch_px();
-    let variance = spec.core_sigma_px * spec.core_sigma_px;
-    let cell_px2 = 0.5 * 3f64.sqrt() * pitch * pitch;
-    let peak = cell_px2 / (std::f64::consts::TAU * variance);
-    // Cores within reach of a pixel, on a perfect lattice, and some more for its jitter.
-    let expected = 1.1 * std::f64::consts::PI * reach_px * reach_px / cell_px2;
-    let expected = (expected * columns.len() as f64) as usize;
-    let mut found = RowWeights {
-        row,
-        columns: columns.clone(),
-        ends: Vec::with_capacity(columns.len()),
-        cores: Vec::with_capacity(expected),
-        weights: Vec::with_capacity(expected),
-    };
-    for column in columns {
-        let at = [column as f64 - shift_px, row as f64];
-        for core in bundle.near(at, reach_px).flatten() {
-            let [x, y] = bundle.positions_px()[core];
-            let distance2 = (x - at[0]).powi(2) + (y - at[1]).powi(2);
-            if distance2 < reach_px * reach_px {
-                found.cores.push(core as u32);
-                found
-                    .weights
-                    .push((peak * (-0.5 * distance2 / variance).exp()) as f32);
+    /// Adds up the light of a span's pixels, `width` columns before and behind it included.
+    #[inline(always)]
+    fn add(&self, span: usize, light: &[[f32; BLOCK]], pixels: &mut [[f32; BLOCK]]) {
+        let entries = self.starts[span] as usize..self.starts[span + 1] as usize;
+        for entry in &self.entries[entries] {
+            let core = entry.core as usize;
+            let light = light[core].map(|light| light * entry.weight);
+            let columns = &self.along_row[core * self.width..][..self.width];
+            for (pixel, &column) in pixels[entry.first as usize..].iter_mut().zip(columns) {
+                for (sum, light) in pixel.iter_mut().zip(&light) {
+                    *sum += column * light;
+                }
             }
         }
-        found.ends.push(found.cores.len() as u32);
     }
-    Some(found)
+}
+
+/// The pixels that see the bundle, row by row.
+fn spans(spec: &SensorSpec, size_px: [usize; 2], bundle: &Bundle) -> Vec<Span> {
+    let [cx, cy] = bundle.spec().centre_px;
+    let radius = 0.5 * bundle.spec().diameter_px
+        + 2.0 * bundle.spec().pitch_px()
+        + REACH_SIGMA * spec.core_sigma_px;
+    let mut spans = Vec::new();
+    let mut first = 0;
+    for row in 0..size_px[1] {
+        let half = (radius * radius - (row as f64 - cy).powi(2))
+            .max(0.0)
+            .sqrt();
+        let columns = (cx - half).ceil().max(0.0) as usize
+            ..((cx + half).floor() + 1.0).clamp(0.0, size_px[0] as f64) as usize;
+        if !columns.is_empty() {
+            let length = columns.len();
+            spans.push(Span {
+                row,
+                columns,
+                first,
+            });
+            first += length;
+        }
+    }
+    spans
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::bundle::BundleSpec;
     use super::*;
 
     #[test]
@@ -428,5 +455,83 @@ mod tests {
         });
         assert_eq!(got, expected.collect::<Vec<_>>());
         assert!(got.contains(&0) && got.contains(&3781), "{:?}", &got[..4]);
+    }
+
+    /// A sensor of 40 x 30 pixels behind a bundle that reaches beyond its right edge, without noise of the pixels.
+    fn small() -> (SensorSpec, Bundle) {
+        let spec = SensorSpec {
+            full_well_e: 32_500.0,
+            read_noise_e: 7.0,
+            offset_dn: 2.0,
+            bits: 12,
+            prnu_ratio: 0.0,
+            lamp_noise_ratio: 0.0,
+            core_sigma_px: 0.9,
+            rate_e_per_ms: 300.0,
+            core_exponent_spread: 0.0,
+        };
+        let bundle = BundleSpec {
+            cores: 200,
+            diameter_px: 27.0,
+            centre_px: [29.3, 14.2],
+            rotation_rad: 0.1,
+            jitter_ratio: 0.1,
+            gain_spread_ratio: 0.1,
+            dead_ratio: 0.0,
+            crosstalk_ratio: 0.0,
+        };
+        (spec, Bundle::camera(&bundle, 3).expect("a bundle"))
+    }
+
+    #[test]
+    fn a_core_s_light_is_spread_as_a_gaussian_and_moves_with_the_image() {
+        let (spec, bundle) = small();
+        let size_px = [40, 30];
+        let mut sensor = Sensor::new(&spec, size_px, &bundle, 1, 2);
+        // More patterns than are summed at once.
+        let patterns = BLOCK + 3;
+        let light: Vec<Vec<f32>> = (0..patterns)
+            .map(|k| {
+                (0..200)
+                    .map(|core| ((core * 7 + k * 13) % 50) as f32)
+                    .collect()
+            })
+            .collect();
+        for shift_px in [0.0, 1.4] {
+            sensor.shift(&bundle, shift_px);
+            let rates = sensor.expose(&light);
+            let sigma = spec.core_sigma_px;
+            let pitch = bundle.spec().pitch_px();
+            let scale = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * sigma * sigma);
+            let mut compared = 0;
+            for span in &sensor.spans {
+                let length = span.columns.len();
+                for (k, light) in light.iter().enumerate() {
+                    for (i, column) in span.columns.clone().enumerate() {
+                        let places = bundle.positions_px().iter().zip(light);
+                        let [mut within, mut all] = [0.0; 2];
+                        for ([x, y], &light) in places {
+                            let [dx, dy] = [x + shift_px - column as f64, y - span.row as f64];
+                            let weight = (-0.5 * (dx * dx + dy * dy) / (sigma * sigma)).exp();
+                            let of_core = scale * weight * f64::from(light);
+                            all += of_core;
+                            if dx.abs().max(dy.abs()) <= REACH_SIGMA * sigma {
+                                within += of_core;
+                            }
+                        }
+                        let got = rates.values[span.first * patterns + k * length + i];
+                        let got = f64::from(got);
+                        // Some thirty products of single precision.
+                        let rounding = 4e-6 * all.max(1.0);
+                        assert!(
+                            got >= within - rounding && got <= all + rounding,
+                            "{got}: {within} to {all}"
+                        );
+                        compared += usize::from(within > 1.0 && all < 1.01 * within);
+                    }
+                }
+            }
+            assert!(compared > 4000, "{compared}");
+        }
     }
 }
