@@ -36,6 +36,7 @@ fn no_error_of_stages_and_head_lets_a_worn_flank_pass() {
         "[motion]\nshiver_um = 20.0\n",
         "[motion]\nshiver_um = 80.0\n",
         "[head]\nlens_error_um = 8.0\n",
+        "[head]\ntwist_px = 2.0\ntwist_loss_ratio = 0.3\n",
     ];
     for errors in at_least(2, &all) {
         let word = worn_flank(errors, &[]);
@@ -47,6 +48,7 @@ fn no_error_of_stages_and_head_lets_a_worn_flank_pass() {
 fn no_surface_lets_a_worn_flank_pass() {
     let all = [
         ("[surface]\nsprayed_above_mm = 33.0\n", "ground"),
+        ("[surface]\nfilm_um = 15.0\n", "sprayed"),
         ("", "polished"),
         ("", "oiled"),
         ("[surface]\nbounces = 5\n", "sprayed"),

@@ -141,13 +141,15 @@ pub fn in_words(setup: &BenchSetup) -> String {
     }
     if setup.surface != SurfaceKind::default()
         || surface.sprayed_above_mm.is_some()
+        || surface.film_um > 0.0
         || setup.bounces() > 1
     {
         what_stands += &format!(
-            ", surface {:?} in {} bounces, sprayed above {:?} mm",
+            ", surface {:?} in {} bounces, sprayed above {:?} mm, film {} um",
             setup.surface,
             setup.bounces(),
-            surface.sprayed_above_mm
+            surface.sprayed_above_mm,
+            surface.film_um
         );
     }
     for wear in &setup.wear {

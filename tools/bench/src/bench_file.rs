@@ -101,6 +101,9 @@ pub struct SurfaceTable {
         skip_serializing_if = "Option::is_none"
     )]
     pub sprayed_above_mm: Option<f64>,
+    /// Mean thickness of the layer on the die, um.
+    #[serde(deserialize_with = "film_um")]
+    pub film_um: f64,
     /// Largest number of reflections at the die on the light's way from projector to camera.
     #[serde(deserialize_with = "bounces", skip_serializing_if = "Option::is_none")]
     pub bounces: Option<u32>,
@@ -159,8 +162,14 @@ pub struct HeadTable {
     #[serde(deserialize_with = "lens_error_um")]
     pub lens_error_um: f64,
     /// Drift of the cores' image along the sensor's rows while the head warms, px.
-    #[serde(deserialize_with = "core_drift_px")]
+    #[serde(deserialize_with = "core_shift_px")]
     pub core_drift_px: f64,
+    /// Shift of the cores' image along the sensor's rows when the head is turned by a quarter of a turn, px.
+    #[serde(deserialize_with = "core_shift_px")]
+    pub twist_px: f64,
+    /// Share of the light that is lost when the head is turned by half a turn.
+    #[serde(deserialize_with = "share")]
+    pub twist_loss_ratio: f64,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -353,8 +362,16 @@ fn lens_error_um<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     within(from, 0.0, 10.0)
 }
 
-fn core_drift_px<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    within(from, -10.0, 10.0)
+fn film_um<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(from, 0.0, 200.0)
+}
+
+fn share<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(from, 0.0, 1.0)
+}
+
+fn core_shift_px<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(from, -5.0, 5.0)
 }
 
 fn strokes_per_minute<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
@@ -412,6 +429,7 @@ mod tests {
             surface:
                 SurfaceTable {
                     sprayed_above_mm,
+                    film_um: _,
                     bounces,
                 },
             stages:
@@ -441,7 +459,9 @@ mod tests {
         let path = folder.path().join("bench.toml");
         for (table, wrong, right) in [
             ("head", "lens_error_um = 11", "from 0 to 10"),
-            ("head", "core_drift_px = -11", "from -10 to 10"),
+            ("head", "core_drift_px = -6", "from -5 to 5"),
+            ("head", "twist_loss_ratio = 1.1", "from 0 to 1"),
+            ("surface", "film_um = -1", "from 0 to 200"),
             ("surface", "bounces = 0", "1 to 16"),
             ("surface", "sprayed_above_mm = inf", "from -1000 to 1000"),
             ("stages", "encoder_saw = \"0:3\"", "84:8"),

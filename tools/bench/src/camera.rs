@@ -88,6 +88,10 @@ pub struct Troubles {
     pub fault: Option<FrameFault>,
     /// Shift of the cores' image along the rows while the head warms up, px.
     pub core_drift_px: f64,
+    /// Shift of the cores' image along the rows when the head is turned by a quarter of a turn, as the bundles twist, px.
+    pub twist_px: f64,
+    /// Share of the light that bent bundles lose when the head is turned by half a turn.
+    pub twist_loss_ratio: f64,
 }
 
 /// Pose of a head that an arm carries.
@@ -384,7 +388,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
         }
-        self.warm();
+        self.warm(rotation_rad);
         match self
             .world
             .prepare(rotation_rad, vertical_mm, &self.patterns)
@@ -397,14 +401,24 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
-    /// Shifts the cores' image for a cold head in a warm die: exponential approach to the final value.
-    fn warm(&mut self) {
-        let drift_px = self.troubles.core_drift_px;
-        if drift_px != 0.0 {
-            let share = 1.0 - (-f64::from(self.prepared) / VIEWS_OF_WARMING).exp();
-            if let Err(error) = self.world.shift_cores(share * drift_px) {
-                eprintln!("bench: {error}");
-            }
+    /// Shifts the cores' image for a cold head in a warm die, with an exponential approach to the final value, and for bundles that
+    /// twist and bend as the head turns: by a sine, and a loss that grows to half a turn.
+    fn warm(&mut self, rotation_rad: f64) {
+        let Troubles {
+            core_drift_px,
+            twist_px,
+            twist_loss_ratio,
+            ..
+        } = self.troubles;
+        let share = 1.0 - (-f64::from(self.prepared) / VIEWS_OF_WARMING).exp();
+        let shift_px = share * core_drift_px + twist_px * rotation_rad.sin();
+        let light_ratio = 1.0 - 0.5 * twist_loss_ratio * (1.0 - rotation_rad.cos());
+        let shifted = match core_drift_px == 0.0 && twist_px == 0.0 {
+            true => Ok(()),
+            false => self.world.shift_cores(shift_px),
+        };
+        if let Err(error) = shifted.and_then(|()| self.world.dim(light_ratio)) {
+            eprintln!("bench: {error}");
         }
         self.prepared += 1;
     }

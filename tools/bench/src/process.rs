@@ -168,6 +168,7 @@ fn apply(
         Stands::Tool(_) => {
             config.surface = bench.surface.surface();
             config.spray_edge = bench.file.surface.spray_edge();
+            config.film_um = bench.file.surface.film_um;
             config.bounces = bench.bounces();
         }
         Stands::Target(_) => ensure!(
@@ -298,6 +299,8 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let troubles = Troubles {
         fault: file.camera.frame_fault.as_ref().map(|fault| fault.value),
         core_drift_px: file.head.core_drift_px,
+        twist_px: file.head.twist_px,
+        twist_loss_ratio: file.head.twist_loss_ratio,
     };
     let arm = file.stages.arm.clone().map(Arm::at);
     let (arguments, (camera_thread, camera)) = match asked.setup.camera {

@@ -629,3 +629,68 @@ fn what_cannot_be_rendered_is_named() {
         Some(WorldError::Cores { got: 3, .. })
     ));
 }
+
+/// The layer is seen, the metal below it is what is worn.
+#[test]
+fn a_film_is_seen_before_the_metal_and_hides_no_truth() {
+    let film_um = 15.0;
+    let seen = |config: &WorldConfig, rotation_rad: f64, vertical_mm: f64| {
+        let world = World::new(config).expect("a valid world");
+        let view = world
+            .prepare(rotation_rad, vertical_mm, &[even()])
+            .expect("a valid view");
+        world.truth(&view).to_vec()
+    };
+    // Before a plane that faces the head, the layer is as much nearer as it is thick, however obliquely a core looks.
+    let bare = before_a_plane();
+    let filmed = WorldConfig {
+        film_um,
+        ..bare.clone()
+    };
+    let [without, with] = [&bare, &filmed].map(|config| seen(config, 0.0, 0.0));
+    assert!(with.len() > 80_000 && with.len() == without.len());
+    let nearer_um: Vec<f64> = without
+        .iter()
+        .zip(&with)
+        .map(|(a, b)| 1e3 * (a.point_tool_mm[0] - b.point_tool_mm[0]))
+        .collect();
+    let average_um = mean(&nearer_um);
+    // A field of 10 mm is no more than a few of the longer waves.
+    assert!((average_um - film_um).abs() < 0.2 * film_um, "{average_um}");
+    assert!(nearer_um.iter().all(|um| (0.0..2.0 * film_um).contains(um)));
+
+    let mut worn = demo::world_config().expect("the demo");
+    worn.wear = vec!["40:left:50:half".parse().expect("wear")];
+    let filmed = WorldConfig {
+        film_um,
+        ..worn.clone()
+    };
+    let rotation_rad = -worn.gear.tooth_centre_rad(40);
+    let [without, with] = [&worn, &filmed].map(|config| seen(config, rotation_rad, 33.0));
+    let mut compared = 0;
+    for (a, b) in without.iter().zip(&with) {
+        assert_eq!((a.core, a.flank, a.wear_mm), (b.core, b.flank, b.wear_mm));
+        compared += usize::from(a.wear_mm > 0.0 && a.point_tool_mm != b.point_tool_mm);
+    }
+    assert!(compared > 1000, "{compared}");
+}
+
+#[test]
+fn bent_bundles_pass_on_the_stated_share_of_the_light() {
+    let mut world = World::new(&before_a_plane()).expect("a valid world");
+    let light = |world: &World| {
+        let view = world.prepare(0.0, 0.0, &[even()]).expect("a valid view");
+        let counts = frame(world, &view, 1, 10_000, 1);
+        // Without light every count is 100 on average.
+        counts
+            .iter()
+            .map(|&count| f64::from(count) - 100.0)
+            .sum::<f64>()
+    };
+    let whole = light(&world);
+    world.dim(0.7).expect("a share");
+    let ratio = light(&world) / whole;
+    // Cores answer linearly here, and millions of electrons are counted.
+    assert!((ratio - 0.7).abs() < 0.005, "{ratio}");
+    assert!(world.dim(1.1).is_err() && world.dim(f64::NAN).is_err());
+}

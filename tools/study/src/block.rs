@@ -93,16 +93,18 @@ impl<'a> Block<'a> {
         });
         let workpiece = Workpiece::new(&drawn.cad, &drawn.gear, &flanks, rectangle)?;
         // A world is shared by all cases with the same die.
-        let mut standing: Option<((bool, u64), World, Option<Baseline>)> = None;
+        let mut standing: Option<((bool, [u64; 2]), World, Option<Baseline>)> = None;
         for (index, case) in cases.iter().enumerate() {
             if matches!(case.group, Group::Spoiled | Group::Measure) && !self.wholly {
                 continue;
             }
             let kelvin = case.warm.map_or(0.0, |(kelvin, _)| kelvin);
-            let key = (case.group.is_built(), kelvin.to_bits());
+            let [film_um, _] = case.film_um;
+            let key = (case.group.is_built(), [kelvin, film_um].map(f64::to_bits));
             if standing.as_ref().is_none_or(|(of, ..)| *of != key) {
                 let mut config = self.setup.world(&self.rig, key.0, self.seed);
                 config.growth = 1.0 + EXPANSION_PER_K * kelvin;
+                config.film_um = film_um;
                 standing = Some((key, World::new(&config)?, None));
             }
             let Some((_, world, baseline)) = &mut standing else {
@@ -195,6 +197,7 @@ impl<'a> Block<'a> {
         let mut tool = self.setup.tool(self.place, case.group.is_built());
         if let Some(inspect) = &mut tool.inspect {
             inspect.datum = case.datum;
+            [_, inspect.film_um] = case.film_um;
         }
         if case.warm.is_some_and(|(_, known)| known) {
             tool.temperature = Some(Temperature {

@@ -49,6 +49,8 @@ pub struct Case {
     pub datum: Datum,
     /// Temperature of the die above that of its CAD, K, and whether the instrument knows it.
     pub warm: Option<(f64, bool)>,
+    /// Mean thickness of the film on the die, and its largest one as the tool states it, µm.
+    pub film_um: [f64; 2],
     /// How pixels are grouped into points.
     pub grid: GridKind,
     /// Light missing or die turned.
@@ -97,6 +99,7 @@ pub fn cases() -> Vec<Case> {
         damage,
         datum: Datum::Neighbours,
         warm: None,
+        film_um: [0.0; 2],
         grid: GridKind::Core,
         trouble: Trouble::default(),
         number: 0,
@@ -140,6 +143,24 @@ pub fn cases() -> Vec<Case> {
     cases.push(spoiled("turned by a pitch and a quarter", 1.25, 0.0));
     cases.push(spoiled("0.5 % of the light", 0.0, 0.995));
     let measure = |name: &str| case(Group::Measure, name, even(20.0));
+    // A film varies by 20 % and is thicker at edges: of 12 µm on average hardly anything is thicker than 25.
+    for (damage, what) in [
+        (Damaged::Nothing, "undamaged"),
+        (even(50.0), "uniform 50 µm"),
+    ] {
+        cases.push(Case {
+            film_um: [12.0, 25.0],
+            ..case(
+                Group::Drawn,
+                &format!("{what}, a film of 12 µm, at most 25 stated"),
+                damage,
+            )
+        });
+    }
+    cases.push(Case {
+        film_um: [12.0, 0.0],
+        ..measure("20 µm below a film of 12 µm that nobody stated")
+    });
     cases.push(Case {
         grid: GridKind::Pixel,
         ..measure("20 µm, pixels instead of cores")

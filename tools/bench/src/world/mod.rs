@@ -19,6 +19,7 @@ mod die;
 mod die_mesh;
 mod dmd;
 mod error;
+mod film;
 mod form;
 mod ideal;
 mod indirect;
@@ -62,6 +63,7 @@ pub use wear::{
     FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
 };
 
+use film::Film;
 use flankscope_gear_cad::{GearSpec, Mesh};
 use nalgebra::{Isometry3, Point3, Vector3};
 use random::{Normals, Purpose, stream};
@@ -96,6 +98,8 @@ pub struct WorldConfig {
     pub surface: Surface,
     /// Edge of a sprayed part of the die.
     pub spray_edge: Option<SprayEdge>,
+    /// Mean thickness of the matt layer, µm.
+    pub film_um: f64,
     /// Largest number of reflections at the die between projector and camera; 1 is direct light alone.
     pub bounces: u32,
     /// Pattern printed on a calibration target.
@@ -133,6 +137,7 @@ impl WorldConfig {
             shiver_um: 0.0,
             surface: Surface::sprayed(),
             spray_edge: None,
+            film_um: 0.0,
             bounces: 1,
             print: None,
             optics: head.optics(),
@@ -172,6 +177,8 @@ pub struct World {
     form: Form,
     sensor_spec: SensorSpec,
     finish: Finish,
+    film: Option<Film>,
+    light_ratio: f64,
     bounces: u32,
     print: Option<Print>,
     passes: Vec<DmdPass>,
@@ -204,6 +211,7 @@ impl World {
             1.0,
             f64::from(MAX_BOUNCES),
         )?;
+        let film = Film::new(config.film_um, config.gear.tip_radius_mm, config.run_seed)?;
         config.sensor.validate()?;
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
@@ -259,6 +267,8 @@ impl World {
             form: config.form,
             sensor_spec: config.sensor.clone(),
             finish,
+            film,
+            light_ratio: 1.0,
             bounces: config.bounces,
             print: config.print.clone(),
             passes: config.passes.clone(),
@@ -316,6 +326,17 @@ impl World {
     pub fn shift_cores(&mut self, shift_px: f64) -> Result<(), WorldError> {
         WorldError::check("shift_px", shift_px, -10.0, 10.0)?;
         self.sensor.shift(&self.camera_bundle, shift_px);
+        Ok(())
+    }
+
+    /// Sets the share of its light that the head passes on, relative to its design: bent bundles lose some. Views prepared before
+    /// show the previous state.
+    ///
+    /// # Errors
+    /// No share of 0 to 1.
+    pub fn dim(&mut self, light_ratio: f64) -> Result<(), WorldError> {
+        WorldError::check("light_ratio", light_ratio, 0.0, 1.0)?;
+        self.light_ratio = light_ratio;
         Ok(())
     }
 
@@ -506,6 +527,7 @@ impl World {
             die: &self.die,
             rays: &self.rays,
             finish: &self.finish,
+            film: self.film.as_ref(),
             bounces: self.bounces,
             print: self.print.as_ref(),
             seed: self.run_seed ^ pose_bits(rotation_rad, vertical_mm),
@@ -531,7 +553,8 @@ impl World {
     /// Charge rate per mean pixel of each core, e⁻/ms, after gain, cross-talk and the core's own response.
     fn core_rates(&self, brightness: &[f32]) -> Vec<f32> {
         // The sensor's rate is stated for reflectance 0.3 and half brightness.
-        let scale = (self.sensor_spec.rate_e_per_ms / (surface::SPRAYED_RATIO * 0.5)) as f32;
+        let rate_e_per_ms = self.light_ratio * self.sensor_spec.rate_e_per_ms;
+        let scale = (rate_e_per_ms / (surface::SPRAYED_RATIO * 0.5)) as f32;
         let entering: Vec<[f32; 1]> = brightness.iter().map(|light| [scale * light]).collect();
         let mixed = self.camera_bundle.with_crosstalk(&entering);
         let reference = 2.0 * self.sensor_spec.rate_e_per_ms as f32;

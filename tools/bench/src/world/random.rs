@@ -18,6 +18,7 @@ pub(crate) enum Purpose {
     Vibration,
     Unevenness(u8),
     Flanks,
+    Film,
     Frame(u32),
     Paths(u32),
 }
@@ -37,6 +38,7 @@ impl Purpose {
             Self::Stages => [9, 0],
             Self::Unevenness(lens) => [10, i64::from(lens)],
             Self::Flanks => [11, 0],
+            Self::Film => [14, 0],
             Self::Frame(counter) => [12, i64::from(counter)],
             Self::Paths(core) => [13, i64::from(core)],
         }

@@ -3,6 +3,7 @@
 use super::bundle::Bundle;
 use super::die::Die;
 use super::dmd::DmdPass;
+use super::film::Film;
 use super::indirect;
 use super::lamp::{HeadLamp, projector_reaches};
 use super::optics::HeadOptics;
@@ -113,6 +114,7 @@ pub(crate) struct Stage<'a> {
     pub die: &'a Die,
     pub rays: &'a RayCaster,
     pub finish: &'a Finish,
+    pub film: Option<&'a Film>,
     /// Largest number of reflections.
     pub bounces: u32,
     pub print: Option<&'a Print>,
@@ -227,8 +229,13 @@ impl Stage<'_> {
             // Seen from inside the material: the head has collided with the die.
             _ => return DARK,
         };
-        let point = eye + hit.distance * along;
-        let p_camera = Point3::from(hit.distance * sight.direction);
+        let metal = eye + hit.distance * along;
+        let before_mm = self
+            .film
+            .map_or(0.0, |film| film.along_ray_mm(metal, -normal.dot(&along)));
+        let distance = hit.distance - before_mm;
+        let point = eye + distance * along;
+        let p_camera = Point3::from(distance * sight.direction);
         let p_projector = self.optics.projector_from_camera * p_camera;
         let Some(projector_px) = self.optics.projector.project(p_projector) else {
             return DARK;
@@ -240,7 +247,7 @@ impl Stage<'_> {
         // Just outside the lighted field, blur still contributes some light; in shadow there is none.
         let unshaded = faces_lamp && !self.rays.blocked(point + START_MM * normal, lamp);
         let lit = unshaded && lighted;
-        let flank = self.die.flank_at(hit.triangle, point, normal);
+        let flank = self.die.flank_at(hit.triangle, metal, normal);
         let truth = CoreTruth {
             core: core as u32,
             point_tool_mm: point.coords.into(),
@@ -248,7 +255,7 @@ impl Stage<'_> {
             lit,
             projector_px,
             flank,
-            wear_mm: flank.map_or(0.0, |id| self.die.wear_at_mm(id, point.coords.into())),
+            wear_mm: flank.map_or(0.0, |id| self.die.wear_at_mm(id, metal.coords.into())),
         };
         if !unshaded {
             return CoreView {
@@ -268,7 +275,7 @@ impl Stage<'_> {
             * projector.brightness(p_projector)
             * self.optics.camera_objective.brightness(p_camera);
         let normal_camera = tool_from_camera.inverse_transform_vector(&normal);
-        let blur = self.blur_px2(sight, hit.distance, normal_camera, p_camera, projector_px);
+        let blur = self.blur_px2(sight, distance, normal_camera, p_camera, projector_px);
         let mut light = self.gather(projector_px, blur, emission);
         let contrast = self.optics.contrast(p_camera);
         for (lane, value) in light.iter_mut().enumerate() {
