@@ -1,47 +1,78 @@
 //! One calibrated head in front of one die at one place, with all cases of damage that are applied there.
 
+use std::collections::BTreeMap;
+
 use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::tool::{Temperature, Tool};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_record::baseline::Baseline;
-use flankscope_record::document::Feature;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::calibration::{Calibrated, Rig};
+use super::calibration::Rig;
 use super::capture::{Instrument, Trouble, judged};
 use super::cases::{Case, Damaged, Group, Right};
 use super::setup::{Place, Setup, flank, own_seed};
+use super::tally::{Sample, budget_um};
 use super::truth;
-use flankscope_bench::damage::{Damage, Workpiece};
-use flankscope_bench::world::{FlankId, Wear, World};
+use flankscope_bench::damage::{Damage, Random, Workpiece};
+use flankscope_bench::world::{FlankId, Wear, WearKind, World};
 
 /// Thermal expansion of steel.
 const EXPANSION_PER_K: f64 = 11.5e-6;
 /// Number of noise seeds that one case may use; the first of a block are the baseline's.
 const FRAMES_PER_CASE: u32 = 1 << 8;
+/// Purpose of the random numbers that draw depths.
+const DEPTHS: u64 = 5;
 
 /// Description of one block in the results.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BlockReport {
     /// Tooth and height that it views.
     #[serde(flatten)]
     pub(super) place: Place,
-    /// Standard uncertainty of a point along the view due to the calibration alone, µm.
-    pub depth_sigma_um: f64,
-    /// Standard uncertainty of a point across the view due to the calibration alone, µm.
-    pub lateral_sigma_um: f64,
-    /// Why calibrations of other heads, drawn before this one, were refused.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub refused: Vec<String>,
+    /// Uncertainty by the calibration alone; absent: the calibration was refused.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibrated: Option<PointSigma>,
+    /// Why the calibration was refused: the head judges nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
 }
 
-/// One result: its case and row, the true value, and the finding.
+/// Standard uncertainty of a point due to the calibration alone.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct PointSigma {
+    /// Along the view, µm.
+    pub depth_sigma_um: f64,
+    /// Across the view, µm.
+    pub lateral_sigma_um: f64,
+}
+
+/// What a block found, as it is kept.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Measured {
+    pub report: BlockReport,
+    pub found: Vec<Found>,
+}
+
+/// One flank in one capture.
+#[derive(Serialize, Deserialize)]
 pub(super) struct Found {
+    /// Index of its case among the chosen ones.
     pub case: usize,
-    pub flank: CadFlank,
-    pub truth_um: f64,
-    pub feature: Feature,
+    pub is_right: bool,
+    pub sample: Sample,
+    /// Sources and standard uncertainties, µm.
+    pub budget_um: BTreeMap<String, f64>,
+}
+
+/// Which die stands before the head, but for its damage.
+#[derive(PartialEq)]
+struct Die {
+    is_built: bool,
+    /// Temperature above that of its CAD.
+    kelvin: f64,
+    film_um: f64,
 }
 
 /// A calibrated head at a place.
@@ -52,38 +83,63 @@ pub(super) struct Block<'a> {
     wholly: bool,
     rig: Rig,
     head: HeadModel,
-    /// Why calibrations of other heads, drawn before, were refused.
-    refused: Vec<String>,
     place: Place,
+    number: u32,
 }
 
-impl<'a> Block<'a> {
-    pub fn new(setup: &'a Setup, number: u32, seed: u64) -> anyhow::Result<Self> {
-        let own = own_seed(number, seed);
-        let Calibrated { rig, head, refused } = Calibrated::first_of(&setup.made, own)?;
-        Ok(Self {
-            setup,
-            seed: own,
-            wholly: number.is_multiple_of(4),
-            head: setup.throwing(head),
-            rig,
-            refused,
-            place: Place::of_block(number),
-        })
-    }
+/// Calibrates the head of a block and captures every case. A head whose calibration is refused judges nothing, and counts.
+pub(super) fn measured(
+    setup: &Setup,
+    (number, seed): (u32, u64),
+    cases: &[Case],
+    captures: u32,
+) -> anyhow::Result<Measured> {
+    let own = own_seed(number, seed);
+    let rig = Rig::new(&setup.made, own);
+    let place = Place::of_block(number);
+    let head = match rig.calibrated(own) {
+        Ok(head) => head,
+        Err(error) => {
+            return Ok(Measured {
+                report: BlockReport {
+                    place,
+                    calibrated: None,
+                    refused: Some(error.to_string()),
+                },
+                found: Vec::new(),
+            });
+        }
+    };
+    let block = Block {
+        setup,
+        seed: own,
+        wholly: number.is_multiple_of(4),
+        head: setup.throwing(head),
+        rig,
+        place,
+        number,
+    };
+    Ok(Measured {
+        report: block.report(),
+        found: block.run(cases, captures)?,
+    })
+}
 
-    pub fn report(&self) -> BlockReport {
+impl Block<'_> {
+    fn report(&self) -> BlockReport {
         let record = self.head.calibration.as_ref();
         BlockReport {
             place: self.place,
-            depth_sigma_um: record.map_or(f64::NAN, |r| r.depth_sigma_um),
-            lateral_sigma_um: record.map_or(f64::NAN, |r| r.lateral_sigma_um),
-            refused: self.refused.clone(),
+            calibrated: record.map(|record| PointSigma {
+                depth_sigma_um: record.depth_sigma_um,
+                lateral_sigma_um: record.lateral_sigma_um,
+            }),
+            refused: None,
         }
     }
 
     /// Captures every case `captures` times.
-    pub fn run(&self, cases: &[Case], captures: u32) -> anyhow::Result<Vec<Found>> {
+    fn run(&self, cases: &[Case], captures: u32) -> anyhow::Result<Vec<Found>> {
         let mut found = Vec::new();
         let (rectangle, _) = truth::judged(&self.setup.tool(self.place, false))?;
         let drawn = self.setup.world(&self.rig, false, self.seed);
@@ -93,19 +149,22 @@ impl<'a> Block<'a> {
         });
         let workpiece = Workpiece::new(&drawn.cad, &drawn.gear, &flanks, rectangle)?;
         // A world is shared by all cases with the same die.
-        let mut standing: Option<((bool, [u64; 2]), World, Option<Baseline>)> = None;
+        let mut standing: Option<(Die, World, Option<Baseline>)> = None;
         for (index, case) in cases.iter().enumerate() {
             if matches!(case.group, Group::Spoiled | Group::Measure) && !self.wholly {
                 continue;
             }
             let kelvin = case.warm.map_or(0.0, |(kelvin, _)| kelvin);
-            let [film_um, _] = case.film_um;
-            let key = (case.group.is_built(), [kelvin, film_um].map(f64::to_bits));
-            if standing.as_ref().is_none_or(|(of, ..)| *of != key) {
-                let mut config = self.setup.world(&self.rig, key.0, self.seed);
+            let die = Die {
+                is_built: case.group.is_built(),
+                kelvin,
+                film_um: case.film_um[0],
+            };
+            if standing.as_ref().is_none_or(|(of, ..)| *of != die) {
+                let mut config = self.setup.world(&self.rig, die.is_built, self.seed);
                 config.growth = 1.0 + EXPANSION_PER_K * kelvin;
-                config.film_um = film_um;
-                standing = Some((key, World::new(&config)?, None));
+                config.film_um = die.film_um;
+                standing = Some((die, World::new(&config)?, None));
             }
             let Some((_, world, baseline)) = &mut standing else {
                 continue;
@@ -121,7 +180,7 @@ impl<'a> Block<'a> {
             let degc = case.warm.map(|_| 20.0 + kelvin);
             let tooth = self.place.tooth;
             let instrument = Instrument::new(&tool, &self.head, tooth, case.grid, degc, baseline)?;
-            for capture in 0..captures {
+            for capture in 0..captures * case.times {
                 let draw = self.draw(1 + case.number, capture);
                 let truths_um = self.damage(world, &workpiece, &tool, case, draw)?;
                 let state = instrument.approach(world, draw, case.trouble)?;
@@ -132,11 +191,12 @@ impl<'a> Block<'a> {
                     if side == CadFlank::Right && case.right == Right::Ignored {
                         continue;
                     }
+                    let feature = judged(&outcome, flank(side))?;
                     found.push(Found {
                         case: index,
-                        flank: side,
-                        truth_um,
-                        feature: judged(&outcome, flank(side))?,
+                        is_right: side == CadFlank::Right,
+                        sample: Sample::new(self.number, truth_um, &feature),
+                        budget_um: budget_um(&feature),
                     });
                 }
             }
@@ -156,7 +216,16 @@ impl<'a> Block<'a> {
         let sides = [CadFlank::Left, CadFlank::Right];
         let (rectangle, disc_mm2) = truth::judged(tool)?;
         let tooth = self.place.tooth;
-        let damages = match case.damage {
+        let drawn_um = |deepest_um: f64, side: u64| {
+            deepest_um * Random::new(2 * draw + side, DEPTHS).uniform()
+        };
+        let damage = match case.damage {
+            Damaged::UniformTo(deepest_um) => {
+                Damaged::Wear(WearKind::Uniform, drawn_um(deepest_um, 0))
+            }
+            damage => damage,
+        };
+        let damages = match damage {
             Damaged::Nothing => {
                 world.stand(None)?;
                 return Ok([0.0; 2]);
@@ -179,9 +248,13 @@ impl<'a> Block<'a> {
             Damaged::Spot { area_mm2, depth_um } => {
                 [0, 1].map(|side| Damage::spot(2 * draw + side, rectangle, area_mm2, depth_um))
             }
-            Damaged::Random(um) => {
+            Damaged::UniformTo(um) | Damaged::Random(um) => {
                 [0, 1].map(|side| Damage::draw(2 * draw + side, rectangle, disc_mm2, um))
             }
+            Damaged::RandomTo(deepest_um) => [0, 1].map(|side| {
+                let um = drawn_um(deepest_um, side);
+                Damage::draw(2 * draw + side, rectangle, disc_mm2, um)
+            }),
         };
         let truths_um = [0, 1].map(|side: usize| damages[side].largest_mean_um(disc_mm2));
         let cut: Vec<(FlankId, Damage)> = sides

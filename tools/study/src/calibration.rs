@@ -9,7 +9,7 @@ use flankscope_profilometry::calibrate::{Sighting, adjust};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::{ApartRecord, CalibrationRecord};
-use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, HeadModel, PatternSet};
+use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, HeadModel};
 
 use super::capture::add_all;
 use flankscope_bench::world::{HeadDesign, HeadOptics, PatternSpec, World};
@@ -22,8 +22,6 @@ const STAGE_SIGMA: [f64; 2] = [
     15e-3 * std::f64::consts::PI / 180.0 / 1.732_050_807_568_877_2,
     5e-3 / 1.732_050_807_568_877_2,
 ];
-/// Pattern set of the target with the demo head. Any other head uses its own set, because its volume may be deeper than this set allows.
-const PATTERNS: &str = "insitu12";
 
 /// Number of views for comparing two projectors.
 const APART_VIEWS: usize = 4;
@@ -31,11 +29,10 @@ const APART_VIEWS: usize = 4;
 /// Largest number of heads that are tried if calibrations are refused.
 const ATTEMPTS: u64 = 8;
 
-/// A head, its calibration, and the reasons for which others were refused before it.
+/// A head and its calibration.
 pub(super) struct Calibrated {
     pub rig: Rig,
     pub head: HeadModel,
-    pub refused: Vec<String>,
 }
 
 impl Calibrated {
@@ -47,7 +44,7 @@ impl Calibrated {
             let own = seed | (attempt << 40);
             let rig = Rig::new(made, own);
             match rig.calibrated(own) {
-                Ok(head) => return Ok(Self { rig, head, refused }),
+                Ok(head) => return Ok(Self { rig, head }),
                 Err(error) => refused.push(error.to_string()),
             }
         }
@@ -66,7 +63,7 @@ pub(super) struct Rig {
 
 impl Rig {
     /// A head with the individual properties of `head_seed`.
-    fn new(made: &HeadDesign, head_seed: u64) -> Self {
+    pub fn new(made: &HeadDesign, head_seed: u64) -> Self {
         let mut optics = made.optics();
         optics.make_uneven(LENS_ERROR_UM, head_seed);
         Self {
@@ -78,7 +75,7 @@ impl Rig {
 
     /// The head by its calibration; `seed` draws the deviations of the target's plates, the stages' errors and the noise. The
     /// head file contains the record of the calibration.
-    fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
+    pub fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
         let target = demo::target_of(&self.made);
         let mut config = demo::target_world(&target, seed);
         self.made.impose(&mut config);
@@ -87,16 +84,8 @@ impl Rig {
         config.run_seed = seed;
         let world = World::new(&config)?;
         let views = demo::target_views(&target, seed, &target.beside[..2]);
-        let (patterns, shown) = match self.made == HeadDesign::demo() {
-            true => (
-                Some(PatternSet::named(PATTERNS)?),
-                PatternSpec::named(PATTERNS),
-            ),
-            false => (
-                demo::drawn_head_of(&self.made).patterns()?,
-                PatternSpec::of_head(&self.made.pattern_set, &self.made.fringes),
-            ),
-        };
+        let patterns = demo::drawn_head_of(&self.made).patterns()?;
+        let shown = PatternSpec::of_head(&self.made.pattern_set, &self.made.fringes);
         let patterns = patterns.context("the head names no patterns")?;
         let shown = shown.context("patterns of the bench")?;
         let sets: Vec<(f64, u32)> = patterns.sets.iter().map(|s| (s.periods, s.steps)).collect();

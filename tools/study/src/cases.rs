@@ -22,6 +22,10 @@ pub enum Damaged {
     },
     /// A random shape on both flanks, with this largest mean loss over a disc, µm.
     Random(f64),
+    /// Uniform wear of the left flank, by a depth that is drawn anew for every capture: uniformly, from 0 to this, µm.
+    UniformTo(f64),
+    /// A random shape on both flanks, each by a depth that is drawn like that.
+    RandomTo(f64),
 }
 
 /// Use of the right flank's result.
@@ -55,6 +59,8 @@ pub struct Case {
     pub grid: GridKind,
     /// Light missing or die turned.
     pub(super) trouble: Trouble,
+    /// Captures for each one that is asked for.
+    pub(super) times: u32,
     /// Its index among all cases, so that its random numbers do not depend on the selection of cases.
     pub(super) number: u32,
 }
@@ -69,6 +75,8 @@ pub enum Group {
     Built,
     /// Depth since a baseline of the new die, as built.
     Baseline,
+    /// Verdict against a depth that is drawn anew for every capture, of a die as built, against CAD.
+    Characteristic,
     /// Captures with faults, which must not get a verdict.
     Spoiled,
     /// One safeguard switched off, for a die that follows its drawing.
@@ -78,9 +86,12 @@ pub enum Group {
 impl Group {
     /// Whether the die has the form errors of its class.
     pub(super) fn is_built(self) -> bool {
-        matches!(self, Self::Built | Self::Baseline)
+        matches!(self, Self::Built | Self::Baseline | Self::Characteristic)
     }
 }
+
+/// Depths that are drawn go up to this, µm: more than twice the demo tool's stop limit.
+pub(super) const DEEPEST_UM: f64 = 120.0;
 
 /// All cases of the full study.
 #[must_use]
@@ -89,12 +100,14 @@ pub fn cases() -> Vec<Case> {
         name: name.into(),
         group,
         right: match damage {
-            Damaged::Nothing | Damaged::Spot { .. } | Damaged::Random(_) => Right::Same,
+            Damaged::Nothing | Damaged::Spot { .. } | Damaged::Random(_) | Damaged::RandomTo(_) => {
+                Right::Same
+            }
             Damaged::Wear(WearKind::Ring, _) => Right::Same,
             Damaged::Wear(WearKind::Side, um) => Right::Row(format!(
                 "{name}: the sound right flank ({um} µm on the left)"
             )),
-            Damaged::Wear(..) => Right::Ignored,
+            Damaged::Wear(..) | Damaged::UniformTo(_) => Right::Ignored,
         },
         damage,
         datum: Datum::Neighbours,
@@ -102,6 +115,7 @@ pub fn cases() -> Vec<Case> {
         film_um: [0.0; 2],
         grid: GridKind::Core,
         trouble: Trouble::default(),
+        times: 1,
         number: 0,
     };
     let mut cases = Vec::new();
@@ -131,6 +145,19 @@ pub fn cases() -> Vec<Case> {
             add("tip 80 µm", Damaged::Wear(WearKind::Tip, 80.0));
             add("spot of 0.05 mm², 150 µm", spot(0.05, 150.0));
         }
+    }
+    for (what, damage) in [
+        ("uniform", Damaged::UniformTo(DEEPEST_UM)),
+        ("random", Damaged::RandomTo(DEEPEST_UM)),
+    ] {
+        cases.push(Case {
+            times: 4,
+            ..case(
+                Group::Characteristic,
+                &format!("{what}, depth drawn"),
+                damage,
+            )
+        });
     }
     let spoiled = |name: &str, turned_pitches: f64, dimmed| Case {
         trouble: Trouble {

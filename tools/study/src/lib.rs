@@ -18,6 +18,7 @@ mod calibration;
 mod campaign;
 mod capture;
 mod cases;
+mod characteristic;
 mod chart;
 mod families;
 mod page;
@@ -32,14 +33,14 @@ mod truth;
 
 use std::path::PathBuf;
 
-use block::Block;
-pub use block::BlockReport;
+use block::Measured;
+pub use block::{BlockReport, PointSigma};
 pub use campaign::{Judgement, random_damages};
 pub use cases::{Case, Damaged, Group, Right, cases};
 pub use families::{Draw, Family, draws};
 use flankscope_bench::config::SurfaceKind;
 use flankscope_bench::files::MadeHead;
-use flankscope_gear_cad::Flank;
+use flankscope_foundation::files::write_whole;
 use setup::{Setup, on_all_cores};
 pub use tally::{Cell, Figure, Sample};
 
@@ -79,9 +80,12 @@ pub struct Args {
     /// Surface of the dies.
     #[arg(long, value_enum, default_value_t)]
     pub surface: SurfaceKind,
-    /// Pattern set that is thrown on them [default: that of --head; without it insitu12 on sprayed dies, else high12]
+    /// Pattern set that is thrown on them [default: that of the head]
     #[arg(long)]
     pub patterns: Option<String>,
+    /// Folder that keeps finished blocks of damage rows, so that a run that was ended goes on where it was.
+    #[arg(long)]
+    pub keep: Option<PathBuf>,
     /// Only rows whose name contains this.
     #[arg(long)]
     pub only: Option<String>,
@@ -114,9 +118,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let cases: Vec<Case> = cases().into_iter().filter(wanted).collect();
     anyhow::ensure!(!cases.is_empty(), "no row of the study has such a name");
-    let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
-    let seed = args.seed()?;
-    let outcome = measure_with(&setup, &cases, (args.blocks, args.captures), seed, |line| {
+    let patterns = args.patterns.as_deref();
+    let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, patterns);
+    let kept = Kept::new(args)?;
+    let outcome = measure_with(&setup, &cases, args.captures, &kept, |line| {
         eprintln!("{line}");
     })?;
     let staircase = staircase::profiles(Setup::load(None)?.head())?;
@@ -131,27 +136,72 @@ impl Args {
     pub fn seed(&self) -> anyhow::Result<u64> {
         self.seed.map_or_else(|| runs::seed_of(&self.commit), Ok)
     }
-
-    /// Name of the pattern set: on bare steel frequencies that the light between two flanks cannot carry.
-    pub fn patterns(&self) -> &str {
-        let of_head = || Some(self.head.as_ref()?.optics.pattern_set.as_str());
-        let given = self.patterns.as_deref().or_else(of_head);
-        given.unwrap_or(match self.surface {
-            SurfaceKind::Sprayed => "insitu12",
-            SurfaceKind::Ground | SurfaceKind::Polished | SurfaceKind::Oiled => "high12",
-        })
-    }
 }
 
 /// What the study found.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Name of the head.
+    /// Name of the head, and of the pattern set that was thrown on the dies.
     pub head: String,
+    pub patterns: String,
     /// What blocks were made of.
     pub blocks: Vec<BlockReport>,
     /// One per row.
     pub cells: Vec<Cell>,
+}
+
+/// Blocks to measure, and where finished ones are kept.
+struct Kept {
+    folder: Option<PathBuf>,
+    blocks: u32,
+    seed: u64,
+}
+
+impl Kept {
+    /// Blocks of another run are never taken for those of `args`: what determines them names the folder.
+    fn new(args: &Args) -> anyhow::Result<Self> {
+        let seed = args.seed()?;
+        let determines = format!(
+            "{} {seed} {} {:?} {:?} {:?} {:?}",
+            args.commit,
+            args.captures,
+            args.head.as_ref().map(|head| &head.given),
+            args.surface,
+            args.patterns,
+            args.only
+        );
+        let name = flankscope_foundation::files::hash(determines.as_bytes());
+        let folder = args.keep.as_ref().map(|keep| keep.join(&name[..16]));
+        if let Some(folder) = &folder {
+            std::fs::create_dir_all(folder)?;
+        }
+        Ok(Self {
+            folder,
+            blocks: args.blocks,
+            seed,
+        })
+    }
+
+    /// The kept block, else that which `measure` finds, which is kept.
+    fn block(
+        &self,
+        number: u32,
+        measure: impl FnOnce() -> anyhow::Result<Measured>,
+    ) -> anyhow::Result<Measured> {
+        let file = self
+            .folder
+            .as_ref()
+            .map(|of| of.join(format!("block-{number}.json")));
+        let kept = file.as_ref().and_then(|file| std::fs::read(file).ok());
+        if let Some(kept) = kept {
+            return Ok(serde_json::from_slice(&kept)?);
+        }
+        let measured = measure()?;
+        if let Some(file) = file {
+            write_whole(&file, &serde_json::to_vec(&measured)?)?;
+        }
+        Ok(measured)
+    }
 }
 
 /// Captures each case `captures` times in each of `blocks` blocks.
@@ -165,29 +215,46 @@ pub fn measure(
     seed: u64,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Outcome> {
-    measure_with(&Setup::load(None)?, cases, (blocks, captures), seed, tell)
+    let none = Kept {
+        folder: None,
+        blocks,
+        seed,
+    };
+    measure_with(&Setup::load(None)?, cases, captures, &none, tell)
 }
 
 fn measure_with(
     setup: &Setup,
     cases: &[Case],
-    (blocks, captures): (u32, u32),
-    seed: u64,
+    captures: u32,
+    kept: &Kept,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Outcome> {
-    let found = on_all_cores(blocks, |number| {
-        let block = Block::new(setup, number, seed)?;
-        let report = block.report();
-        let found = block.run(cases, captures)?;
+    let found = on_all_cores(kept.blocks, |number| {
+        let measured = kept.block(number, || {
+            block::measured(setup, (number, kept.seed), cases, captures)
+        })?;
+        let BlockReport {
+            place,
+            calibrated,
+            refused,
+        } = &measured.report;
+        let head = match calibrated {
+            Some(sigma) => format!(
+                "calibrated to {:.2} µm along and {:.2} µm across the view",
+                sigma.depth_sigma_um, sigma.lateral_sigma_um
+            ),
+            None => format!(
+                "calibration refused: {}",
+                refused.as_deref().unwrap_or_default()
+            ),
+        };
+        let (tooth, height_mm) = (place.tooth, place.height_mm);
         tell(&format!(
-            "block {}: tooth {} at {} mm, calibrated to {:.2} µm along and {:.2} µm across the view",
-            number + 1,
-            report.place.tooth,
-            report.place.height_mm,
-            report.depth_sigma_um,
-            report.lateral_sigma_um
+            "block {}: tooth {tooth} at {height_mm} mm, {head}",
+            number + 1
         ));
-        Ok((report, found))
+        Ok(measured)
     })?;
     let mut rows: Vec<[Option<Cell>; 2]> = cases
         .iter()
@@ -200,16 +267,16 @@ fn measure_with(
         })
         .collect();
     let mut reports = Vec::new();
-    for (number, (report, found)) in (0..).zip(found) {
-        reports.push(report);
-        for one in found {
+    for measured in found {
+        reports.push(measured.report);
+        for one in measured.found {
             let [same, other] = &mut rows[one.case];
-            let row = match (one.flank, other) {
-                (Flank::Right, Some(other)) => Some(other),
+            let row = match other {
+                Some(other) if one.is_right => Some(other),
                 _ => same.as_mut(),
             };
             if let Some(row) = row {
-                row.add(number, one);
+                row.add(one);
             }
         }
     }
@@ -219,6 +286,7 @@ fn measure_with(
     }
     Ok(Outcome {
         head: setup.made.name.clone(),
+        patterns: setup.patterns().to_owned(),
         blocks: reports,
         cells,
     })

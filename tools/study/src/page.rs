@@ -8,12 +8,13 @@ use flankscope_foundation::files::write_whole;
 use serde::Serialize;
 
 use super::calibration::LENS_ERROR_UM;
+use super::characteristic;
 use super::chart::Frame;
 use super::runs::{self, Counts};
 use super::setup::{FLANKS_UM, word};
 use super::staircase::{self, Profile};
 use super::tally::Share;
-use super::{Args, BlockReport, Cell, Group, Outcome, Sample, Subject};
+use super::{Args, BlockReport, Cell, Group, Outcome, PointSigma, Sample, Subject};
 
 /// Width and height of the plot, and its margins, px.
 const SIZE: [f64; 2] = [640.0, 360.0];
@@ -35,7 +36,7 @@ struct Document<'a> {
     rows: &'a [Cell],
 }
 
-/// Writes `README.md`, `errors.svg`, `staircase.svg` and `study.json`.
+/// Writes `README.md`, `errors.svg`, `characteristic.svg`, `staircase.svg` and `study.json`.
 pub(super) fn write(
     folder: &Path,
     outcome: &Outcome,
@@ -63,6 +64,10 @@ pub(super) fn write(
         errors(&outcome.cells)?.as_bytes(),
     )?;
     write_whole(
+        &folder.join("characteristic.svg"),
+        characteristic::draw(&outcome.cells, [WARN_UM, LIMIT_UM])?.as_bytes(),
+    )?;
+    write_whole(
         &folder.join("staircase.svg"),
         staircase::draw(plane)?.as_bytes(),
     )?;
@@ -86,8 +91,10 @@ pub(super) fn command(args: &Args) -> String {
         .map_or(String::new(), |head| format!(" --head {}", head.given));
     let surface = match surface {
         SurfaceKind::Sprayed => String::new(),
-        bare => format!(" --surface {} --patterns {}", word(*bare), args.patterns()),
+        bare => format!(" --surface {}", word(*bare)),
     };
+    let patterns = args.patterns.as_ref();
+    let patterns = patterns.map_or(String::new(), |set| format!(" --patterns {set}"));
     let rows = only
         .as_ref()
         .map_or(String::new(), |name| format!(" --only \"{name}\""));
@@ -98,7 +105,7 @@ pub(super) fn command(args: &Args) -> String {
     };
     // Without one, the commit's.
     let seed = seed.map_or(String::new(), |seed| format!(" --seed {seed}"));
-    format!("cargo xtask study{size}{seed}{head}{surface}{rows}")
+    format!("cargo xtask study{size}{seed}{head}{surface}{patterns}{rows}")
 }
 
 struct Page<'a> {
@@ -117,7 +124,7 @@ impl Page<'_> {
     /// Samples of a damaged or sound flank that should get a verdict, relative to CAD or to a baseline.
     fn judged(&self, since: bool) -> impl Iterator<Item = &Sample> {
         let wanted = move |c: &&Cell| match c.group {
-            Group::Drawn | Group::Built => !since,
+            Group::Drawn | Group::Built | Group::Characteristic => !since,
             Group::Baseline => since,
             Group::Spoiled | Group::Measure => false,
         };
@@ -133,6 +140,7 @@ impl Page<'_> {
         self.head(&mut text)?;
         self.uncertainty(&mut text)?;
         self.rates(&mut text)?;
+        text.push_str(&characteristic::section(&self.outcome.cells)?);
         self.hidden(&mut text)?;
         self.depths(&mut text)?;
         self.rest(&mut text)?;
@@ -141,8 +149,9 @@ impl Page<'_> {
 
     fn head(&self, text: &mut String) -> std::fmt::Result {
         let blocks = self.outcome.blocks.len();
-        let range = |of: fn(&BlockReport) -> f64| {
-            let values = || self.outcome.blocks.iter().map(of);
+        let range = |of: fn(&PointSigma) -> f64| {
+            let calibrated = |block: &BlockReport| block.calibrated.as_ref().map(of);
+            let values = || self.outcome.blocks.iter().filter_map(calibrated);
             let [low, high] = [
                 values().fold(f64::INFINITY, f64::min),
                 values().fold(f64::NEG_INFINITY, f64::max),
@@ -184,24 +193,17 @@ impl Page<'_> {
                 SurfaceKind::Oiled => "of ground steel under oil",
             },
             self.args.surface.bounces(),
-            self.args.patterns()
+            self.outcome.patterns
         )?;
-        let refused: Vec<&String> = self
-            .outcome
-            .blocks
-            .iter()
-            .flat_map(|b| &b.refused)
-            .collect();
+        let all = &self.outcome.blocks;
+        let refused: Vec<&str> = all.iter().filter_map(|b| b.refused.as_deref()).collect();
         if !refused.is_empty() {
             writeln!(
                 text,
-                "Calibrations of {} other heads were refused (\"{}\"); another head was drawn in their place.\n",
+                "The calibration of {} of {} heads was refused (\"{}\"): they judge nothing, and no rate below counts them.\n",
                 refused.len(),
-                refused
-                    .iter()
-                    .map(|why| why.as_str())
-                    .collect::<Vec<_>>()
-                    .join("\"; \""),
+                all.len(),
+                refused.join("\"; \""),
             )?;
         }
         writeln!(
@@ -409,7 +411,7 @@ impl Page<'_> {
         }
         let mut why: std::collections::BTreeMap<&str, usize> = std::collections::BTreeMap::new();
         for sample in self.judged(false).chain(self.judged(true)) {
-            if let Some(code) = sample.code {
+            if let Some(code) = &sample.code {
                 *why.entry(code).or_default() += 1;
             }
         }
@@ -529,7 +531,7 @@ pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
     high
 }
 
-fn percent(share: f64) -> String {
+pub(super) fn percent(share: f64) -> String {
     if share.is_finite() {
         format!("{:.1} %", 100.0 * share)
     } else {

@@ -161,7 +161,8 @@ impl Field {
 
 /// Captures all fields of the chart, two openings at a time.
 fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
-    let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
+    let setup =
+        Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns.as_deref());
     let wanted = |series: &usize| {
         let only = args.only.as_ref();
         only.is_none_or(|text| SERIES[*series].name.contains(text))

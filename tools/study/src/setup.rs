@@ -35,7 +35,7 @@ pub(super) struct Setup {
 }
 
 /// Tooth and height that a block views.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
+#[derive(Clone, Copy, Debug, serde::Serialize, serde::Deserialize)]
 pub(super) struct Place {
     pub tooth: u32,
     pub height_mm: f64,
@@ -73,11 +73,13 @@ impl Setup {
         })
     }
 
-    /// The same setup with dies of another surface, and another pattern set.
-    pub fn with_surface(mut self, surface: SurfaceKind, patterns: &str) -> Self {
+    /// The same setup with dies of another surface, and another pattern set than the head's.
+    pub fn with_surface(mut self, surface: SurfaceKind, patterns: Option<&str>) -> Self {
         self.die.surface = surface.surface();
         self.die.bounces = surface.bounces();
-        patterns.clone_into(&mut self.patterns);
+        if let Some(patterns) = patterns {
+            patterns.clone_into(&mut self.patterns);
+        }
         self
     }
 
@@ -89,6 +91,11 @@ impl Setup {
             fringes: if own { head.fringes } else { Vec::new() },
             ..head
         }
+    }
+
+    /// Name of the pattern set that is thrown on the dies.
+    pub fn patterns(&self) -> &str {
+        &self.patterns
     }
 
     /// The drawing of the die.
@@ -143,7 +150,7 @@ pub(super) fn own_seed(number: u32, seed: u64) -> u64 {
     (seed << 16) | u64::from(number)
 }
 
-/// Calls `each` for all numbers below `count` on all cores, each call on one core; results in order.
+/// Calls `each` for all numbers below `count` on all cores that this process may use, each call on one core; results in order.
 pub(super) fn on_all_cores<T: Send>(
     count: u32,
     each: impl Fn(u32) -> anyhow::Result<T> + Sync,

@@ -2,13 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use serde::Serialize;
+use flankscope_record::document::Feature;
+use serde::{Deserialize, Serialize};
 
 use super::Group;
 use super::block::Found;
 
 /// One flank in one capture.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Sample {
     /// The block: its head, calibration, die and place.
     pub block: u32,
@@ -24,11 +25,11 @@ pub struct Sample {
     pub reason: Option<String>,
     /// Short name of that reason, if it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub code: Option<&'static str>,
+    pub code: Option<String>,
 }
 
 /// A measured depth.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Figure {
     /// Wear, µm.
     pub value_um: f64,
@@ -39,6 +40,25 @@ pub struct Figure {
 }
 
 impl Sample {
+    /// A flank's result beside its truth.
+    pub(super) fn new(block: u32, truth_um: f64, feature: &Feature) -> Self {
+        let figure = || {
+            Some(Figure {
+                value_um: feature.wear_um?,
+                u95_um: feature.u95_um?,
+                detection_limit_um: feature.detail.as_ref()?.detection_limit_um,
+            })
+        };
+        Self {
+            block,
+            truth_um,
+            figure: figure(),
+            verdict: feature.verdict.to_string(),
+            reason: feature.reason.clone(),
+            code: feature.code.map(|code| code.word().into()),
+        }
+    }
+
     /// Measured minus true, µm, with its expanded uncertainty.
     fn error_um(&self) -> Option<[f64; 2]> {
         let figure = self.figure?;
@@ -60,6 +80,15 @@ impl Sample {
     }
 }
 
+/// Sources of a flank's uncertainty, standard uncertainties in µm; empty without a figure.
+pub(super) fn budget_um(feature: &Feature) -> BTreeMap<String, f64> {
+    let detail = feature.detail.as_ref();
+    let of = |(name, um): (&&'static str, &f64)| ((*name).to_owned(), *um);
+    detail.map_or_else(BTreeMap::new, |detail| {
+        detail.budget_um.iter().map(of).collect()
+    })
+}
+
 /// All samples of one row.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cell {
@@ -70,7 +99,7 @@ pub struct Cell {
     /// Flanks in captures.
     pub samples: Vec<Sample>,
     /// Mean budget: source and standard uncertainty, µm.
-    pub budget_um: BTreeMap<&'static str, f64>,
+    pub budget_um: BTreeMap<String, f64>,
 }
 
 /// Number of hits among samples, and number of blocks with at least one hit among all blocks.
@@ -116,31 +145,15 @@ impl Cell {
         }
     }
 
-    pub(super) fn add(&mut self, block: u32, found: Found) {
-        let feature = found.feature;
-        let figure = match (feature.wear_um, feature.u95_um, &feature.detail) {
-            (Some(value_um), Some(u95_um), Some(detail)) => {
-                let n = (self.figures().count() + 1) as f64;
-                for (name, um) in &detail.budget_um {
-                    let mean = self.budget_um.entry(name).or_default();
-                    *mean += (um - *mean) / n;
-                }
-                Some(Figure {
-                    value_um,
-                    u95_um,
-                    detection_limit_um: detail.detection_limit_um,
-                })
+    pub(super) fn add(&mut self, found: Found) {
+        if found.sample.figure.is_some() {
+            let n = (self.figures().count() + 1) as f64;
+            for (name, um) in found.budget_um {
+                let mean = self.budget_um.entry(name).or_default();
+                *mean += (um - *mean) / n;
             }
-            _ => None,
-        };
-        self.samples.push(Sample {
-            block,
-            truth_um: found.truth_um,
-            figure,
-            verdict: feature.verdict.to_string(),
-            reason: feature.reason,
-            code: feature.code.map(|code| code.word()),
-        });
+        }
+        self.samples.push(found.sample);
     }
 
     fn figures(&self) -> impl Iterator<Item = &Figure> {

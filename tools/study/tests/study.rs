@@ -67,6 +67,7 @@ fn few_captures_of_each_sort_end_as_they_must() {
     let [block] = &outcome.blocks[..] else {
         panic!("one block")
     };
-    assert!(block.lateral_sigma_um > 0.1 && block.lateral_sigma_um < 10.0);
-    assert!(of("built, uniform 50 µm").u95_um() > 1.96 * block.lateral_sigma_um * 0.9);
+    let lateral_sigma_um = block.calibrated.expect("a calibration").lateral_sigma_um;
+    assert!(lateral_sigma_um > 0.1 && lateral_sigma_um < 10.0);
+    assert!(of("built, uniform 50 µm").u95_um() > 1.96 * lateral_sigma_um * 0.9);
 }

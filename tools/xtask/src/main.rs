@@ -319,6 +319,7 @@ fn study(rest: &[&str]) -> Result<(), String> {
             "the study's draws follow from a commit, and every run is logged with it; here is \"{commit}\": commit first"
         ));
     }
+    let kept = target().join("study");
     let study = [
         "run",
         "--release",
@@ -331,6 +332,8 @@ fn study(rest: &[&str]) -> Result<(), String> {
         &commit,
         "--log",
         "docs/study/log.csv",
+        "--keep",
+        &kept.to_string_lossy(),
     ];
     run(cargo(&[&study[..], rest].concat()))
 }
