@@ -272,6 +272,9 @@ impl Block<'_> {
             inspect.datum = case.datum;
             [_, inspect.film_um] = case.film_um;
         }
+        if case.by_class {
+            tool.as_built_um = self.setup.class_um();
+        }
         if case.warm.is_some_and(|(_, known)| known) {
             tool.temperature = Some(Temperature {
                 reference_degc: 20.0,

@@ -55,6 +55,8 @@ pub struct Case {
     pub warm: Option<(f64, bool)>,
     /// Mean thickness of the film on the die, and its largest one as the tool states it, µm.
     pub film_um: [f64; 2],
+    /// Of the form as built the tool states no more than the tolerance class of its drawing.
+    pub by_class: bool,
     /// How pixels are grouped into points.
     pub grid: GridKind,
     /// Light missing or die turned.
@@ -113,6 +115,7 @@ pub fn cases() -> Vec<Case> {
         datum: Datum::Neighbours,
         warm: None,
         film_um: [0.0; 2],
+        by_class: false,
         grid: GridKind::Core,
         trouble: Trouble::default(),
         times: 1,
@@ -145,6 +148,20 @@ pub fn cases() -> Vec<Case> {
             add("tip 80 µm", Damaged::Wear(WearKind::Tip, 80.0));
             add("spot of 0.05 mm², 150 µm", spot(0.05, 150.0));
         }
+    }
+    for (what, damage) in [
+        ("undamaged", Damaged::Nothing),
+        ("uniform 20 µm", even(20.0)),
+        ("uniform 80 µm", even(80.0)),
+    ] {
+        cases.push(Case {
+            by_class: true,
+            ..case(
+                Group::Built,
+                &format!("built, by its class, {what}"),
+                damage,
+            )
+        });
     }
     for (what, damage) in [
         ("uniform", Damaged::UniformTo(DEEPEST_UM)),

@@ -19,7 +19,7 @@ const VERDICTS: [(&str, &str); 4] = [
 /// Width and height of the drawing and margins, px.
 const SIZE: [f64; 2] = [640.0, 320.0];
 const LEFT: f64 = 60.0;
-const TOP: f64 = 30.0;
+const TOP: f64 = 42.0;
 const BOTTOM: f64 = 50.0;
 
 /// Flanks of one bin of true depths.
@@ -144,9 +144,9 @@ pub(super) fn draw(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error>
         }
         write!(
             svg,
-            "<text x=\"{left:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+            "<text x=\"{right:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
             y(0.0) + 16.0,
-            bin.from_um
+            bin.from_um + BIN_UM
         )?;
     }
     for (um, word) in limits_um.into_iter().zip(["warn", "stop"]) {

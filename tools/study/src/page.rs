@@ -209,7 +209,7 @@ impl Page<'_> {
         writeln!(
             text,
             "Three dies: *drawn*, as its CAD; *built*, every flank off along the pitch circle by {FLANKS_UM:.2} µm (standard \
-             deviation: pitches keep class 7 of ISO 1328-1 with three of them), which the tool states as `as_built_um`; *since \
+             deviation: pitches keep class 7 of ISO 1328-1 with three of them), which the tool states as `as_built_um`, in rows *by its class* as `as_built_class`; *since \
              new*, that die against a baseline of itself when new, by the same head. Slopes and forms of profiles as built, the \
              head's drift since the baseline (which the budget holds with 0.5 µm), and chord errors of the CAD are not \
              simulated; nor is the way between the processes, which changes no value. A rate's interval counts blocks: a block in \

@@ -15,7 +15,9 @@ use flankscope_bench::world::{Form, HeadDesign, WorldConfig};
 /// Teeth and heights that blocks use in turn; their numbers have no common divisor, so that all combinations occur.
 const TEETH: [u32; 8] = [40, 12, 68, 5, 27, 55, 77, 84];
 const HEIGHTS_MM: [f64; 3] = [33.0, 24.0, 42.0];
-/// Single pitch tolerance of ISO 1328-1:2013, class 7, of module 0.987 mm on 82.9 mm, µm: twice the value of the class 5 formula
+/// Tolerance class of the dies.
+const CLASS: u32 = 7;
+/// Single pitch tolerance of ISO 1328-1:2013 in this class, of module 0.987 mm on 82.9 mm, µm: twice the value of the class 5 formula
 /// 0.001 d + 0.4 m + 5.
 const PITCH_TOLERANCE_UM: f64 = 10.96;
 /// Standard deviation of the flanks of a die whose single pitch, the difference of two flanks, keeps that tolerance at three
@@ -28,6 +30,8 @@ pub(super) struct Setup {
     head: HeadModel,
     /// World of the die and the head.
     die: WorldConfig,
+    /// What the tool makes of the tolerance class of its drawing, µm.
+    class_um: Option<f64>,
     /// Name of the pattern set.
     patterns: String,
     /// Design of the head; each head has its own cores and lenses in addition.
@@ -59,6 +63,12 @@ impl Setup {
         // The bench makes the die from the facets of its CAD, so there is no chord error.
         tool.cad.chord_error_um = 0.0;
         let head = HeadModel::load(&folder.path().join("head.toml"))?;
+        let file = folder.path().join("tool.toml");
+        let said = std::fs::read_to_string(&file)?;
+        let inspect = format!("[inspect]\nas_built_class = {CLASS}\n");
+        std::fs::write(&file, said.replace("[inspect]\n", &inspect))?;
+        let class_um = Tool::load(folder.path())?.as_built_um;
+        std::fs::write(&file, said)?;
         let die = Specimen::tool(folder.path(), None)?.config;
         let patterns = head
             .pattern_set
@@ -68,6 +78,7 @@ impl Setup {
             tool,
             head,
             die,
+            class_um,
             patterns,
             made: made.map_or_else(HeadDesign::demo, |made| HeadDesign::clone(&made.optics)),
         })
@@ -91,6 +102,11 @@ impl Setup {
             fringes: if own { head.fringes } else { Vec::new() },
             ..head
         }
+    }
+
+    /// Form as built by the tolerance class alone, as the tool file's `as_built_class` has it, µm.
+    pub fn class_um(&self) -> Option<f64> {
+        self.class_um
     }
 
     /// Name of the pattern set that is thrown on the dies.
