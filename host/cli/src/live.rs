@@ -278,7 +278,7 @@ mod tests {
             "press 7".into(),
             "die".into(),
             true,
-            flankscope_record::document::HeadDates::default(),
+            flankscope_profilometry::head::HeadDates::default(),
         );
         state.press_cycles = cycle;
         state

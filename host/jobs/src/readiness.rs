@@ -8,7 +8,7 @@ use flankscope_profilometry::HeadModel;
 use serde_json::json;
 
 use flankscope_instrument::doctor::Finding;
-use flankscope_record::document::HeadDates;
+use flankscope_profilometry::head::HeadDates;
 use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
 

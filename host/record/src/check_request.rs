@@ -1,6 +1,5 @@
 //! A request for a check before it is due: a small file beside the history, which the watch of that history takes away when it obeys.
 
-use std::ffi::OsString;
 use std::io::{self, BufRead, BufReader, Read};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -10,6 +9,7 @@ use flankscope_foundation::display::plain;
 use flankscope_foundation::files::{read_regular, write_whole_with_mode};
 
 use crate::document::{LiveLine, MOST_LIVE_BYTES, live_socket};
+use crate::history::beside;
 
 /// Longest content, bytes: a name.
 const MOST_BYTES: u64 = 256;
@@ -67,9 +67,7 @@ pub fn take_check_request(history: &Path) -> Option<String> {
 }
 
 fn file_of(history: &Path) -> PathBuf {
-    let mut name = OsString::from(history);
-    name.push(".check");
-    name.into()
+    beside(history, ".check")
 }
 
 /// Name of the tool whose watch runs on a history.
@@ -92,7 +90,8 @@ mod tests {
     use std::thread;
 
     use super::*;
-    use crate::document::{HeadDates, LiveState};
+    use crate::document::LiveState;
+    use flankscope_profilometry::head::HeadDates;
 
     #[test]
     fn a_request_is_obeyed_once_and_only_where_a_watch_of_that_tool_runs() {

@@ -25,8 +25,8 @@ use flankscope_frames::SharedRoot;
 use flankscope_instrument::acquisition::{Acquisition, AcquisitionError, Progress};
 use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_instrument::poses::PoseProgram;
+use flankscope_profilometry::head::HeadDates;
 use flankscope_record::die::DieKey;
-use flankscope_record::document::HeadDates;
 use flankscope_record::origin::Setting;
 
 pub(crate) use failure::{stopped, view_lost};

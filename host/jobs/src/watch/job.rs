@@ -207,6 +207,9 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             if self.is_acknowledged_elsewhere() && self.start_afresh().is_break() {
                 return Ok(ControlFlow::Break(()));
             }
+            if self.take_request().is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
         }
         let patience = self
             .next_refresh
@@ -242,7 +245,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
                 return Ok(ControlFlow::Break(()));
             }
         }
-        if self.take_request().is_break() {
+        if opened && self.take_request().is_break() {
             return Ok(ControlFlow::Break(()));
         }
         let due = self.is_requested

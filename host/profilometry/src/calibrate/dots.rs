@@ -279,7 +279,7 @@ fn within<'a>(
 ) -> impl Iterator<Item = usize> + 'a {
     near.near(at).filter(move |&index| {
         let [x, y] = places[index];
-        (x - at[0]).hypot(y - at[1]) <= reach_px
+        (x - at[0]).powi(2) + (y - at[1]).powi(2) <= reach_px * reach_px
     })
 }
 

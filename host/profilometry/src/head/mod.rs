@@ -5,6 +5,7 @@
 mod calibration;
 mod camera;
 mod core_map;
+mod dates;
 mod fringes;
 mod lens;
 mod mirrors;
@@ -33,6 +34,7 @@ pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub(crate) use camera::Distorted;
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
+pub use dates::HeadDates;
 pub use fringes::Fringes;
 pub use lens::LensDrive;
 pub use mirrors::{Arrangement, Mirrors};

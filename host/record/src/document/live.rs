@@ -2,13 +2,13 @@
 //!
 //! A line is complete in itself, so that a reader may begin at any line and lose any.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use flankscope_foundation::date::Date;
 use flankscope_metrology::verdict::Shown;
-use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::head::HeadDates;
 use serde::{Deserialize, Serialize};
+
+use crate::history::beside;
 
 /// Longest line of a watch, bytes: the pictures of a check take a tenth of it.
 pub const MOST_LIVE_BYTES: u64 = 4 << 20;
@@ -16,9 +16,7 @@ pub const MOST_LIVE_BYTES: u64 = 4 << 20;
 /// Path of the socket: that of the history with `.live` after its name.
 #[must_use]
 pub fn live_socket(history: &Path) -> PathBuf {
-    let mut name = OsString::from(history);
-    name.push(".live");
-    name.into()
+    beside(history, ".live")
 }
 
 /// One line.
@@ -72,46 +70,6 @@ impl LiveState {
             head,
             made: LiveCounts::default(),
         }
-    }
-}
-
-/// A calibration that expires within this many days should be renewed.
-const RENEWED_DAYS_BEFORE: u32 = 14;
-/// A self-test is announced this many days before it is due.
-const TESTED_DAYS_BEFORE: u32 = 1;
-
-/// When a head has to be calibrated and tested again; absent for a head that never was.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub struct HeadDates {
-    /// Last day on which its calibration judges.
-    pub calibration_expires: Option<Date>,
-    /// Day on which its self-test is due.
-    pub self_test_due: Option<Date>,
-}
-
-impl HeadDates {
-    /// The dates in a head's file.
-    #[must_use]
-    pub fn of(head: &HeadModel) -> Self {
-        Self {
-            calibration_expires: head.calibration.as_ref().map(|made| made.expires),
-            self_test_due: head.self_test.as_ref().map(|test| test.due),
-        }
-    }
-
-    /// Whether the calibration should be renewed on this day.
-    #[must_use]
-    pub fn is_calibration_due(&self, today: Date) -> bool {
-        let soon = today.plus_days(RENEWED_DAYS_BEFORE);
-        self.calibration_expires
-            .is_some_and(|expires| expires < soon)
-    }
-
-    /// Whether the self-test should be made on this day.
-    #[must_use]
-    pub fn is_self_test_due(&self, today: Date) -> bool {
-        let soon = today.plus_days(TESTED_DAYS_BEFORE);
-        self.self_test_due.is_some_and(|due| due <= soon)
     }
 }
 

@@ -30,9 +30,10 @@ pub use comparison::{ComparedCheck, ComparedFlank, Comparison};
 pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
+pub use flankscope_profilometry::head::HeadDates;
 pub use identity::{IdentifiedBy, ToothIdentity};
 pub use live::{
-    HeadDates, LiveCounts, LiveLine, LivePicture, LiveState, LiveStep, MOST_LIVE_BYTES, live_socket,
+    LiveCounts, LiveLine, LivePicture, LiveState, LiveStep, MOST_LIVE_BYTES, live_socket,
 };
 pub use setup::{
     ExpectedByHead, ExposureLevels, LostCapture, ProposedExposures, SetupCapture, SetupView,

@@ -3,7 +3,6 @@
 //! A file is a zlib stream (RFC 1950) of the bytes in four parts: every fourth byte from the first, second, third and fourth.
 //! Exponents of neighbours are similar and mantissas are not, so separating them improves compression.
 
-use std::ffi::OsString;
 use std::fs::DirBuilder;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::DirBuilderExt;
@@ -15,6 +14,7 @@ use flate2::write::ZlibEncoder;
 
 use flankscope_metrology::verdict::Word;
 
+use super::beside::beside;
 use super::error::HistoryError;
 use super::store::History;
 use crate::document::Phasors;
@@ -52,9 +52,7 @@ fn unpack(packed: &[u8], length: usize) -> io::Result<Vec<u8>> {
 
 impl History {
     pub fn phasors_folder(&self) -> PathBuf {
-        let mut name = OsString::from(self.path());
-        name.push(".phasors");
-        name.into()
+        beside(self.path(), ".phasors")
     }
 
     fn phasors_file(&self, blake3: &str) -> PathBuf {

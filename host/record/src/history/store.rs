@@ -9,6 +9,7 @@ use rusqlite::{
     Connection, OpenFlags, OptionalExtension, Transaction, TransactionBehavior, params,
 };
 
+use super::beside::beside;
 use super::chain::{self, Row};
 use super::dates::dated_before;
 use super::error::HistoryError;
@@ -546,9 +547,7 @@ pub(super) fn real_name(path: &Path) -> PathBuf {
 
 /// Whether all data are in the file itself, none in the journal.
 fn journal_is_empty(path: &Path) -> bool {
-    let mut journal = path.as_os_str().to_owned();
-    journal.push("-wal");
-    std::fs::metadata(&journal).map_or(true, |meta| meta.len() == 0)
+    std::fs::metadata(beside(path, "-wal")).map_or(true, |meta| meta.len() == 0)
 }
 
 /// Restricts a history to its user and group; SQLite gives the journal the same permissions.

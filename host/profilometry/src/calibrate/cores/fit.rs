@@ -115,11 +115,11 @@ impl<'a> Fit<'a> {
             let [columns, rows] = self.window(spot.at, reach);
             let across = self.profile(&columns, spot.at[0]);
             let down = self.profile(&rows, spot.at[1]);
-            for (row, weight) in rows.zip(down) {
+            for (row, weight) in rows.zip(&down) {
                 let scale = (spot.amplitude * weight) as f32;
                 let pixels = &mut residual[row * self.width..][columns.clone()];
-                for (pixel, weight) in pixels.iter_mut().zip(across) {
-                    *pixel -= scale * weight as f32;
+                for (pixel, weight) in pixels.iter_mut().zip(&across) {
+                    *pixel -= scale * *weight as f32;
                 }
             }
         }
@@ -135,9 +135,9 @@ impl<'a> Fit<'a> {
         let mut right = [0.0; 3];
         let (mut width_gradient, mut width_curvature) = (0.0, 0.0);
         let by_sigma2 = 1.0 / (self.sigma * self.sigma);
-        for (row, down) in rows.zip(down) {
+        for (row, down) in rows.zip(&down) {
             let y = row as f64 - spot.at[1];
-            for (column, across) in columns.clone().zip(across) {
+            for (column, across) in columns.clone().zip(&across) {
                 let x = column as f64 - spot.at[0];
                 let shape = across * down;
                 let model = spot.amplitude * shape;
