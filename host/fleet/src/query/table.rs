@@ -42,7 +42,9 @@ impl ChecksTable {
         ];
         let columns: Vec<Field> = COLUMNS.iter().map(field).collect();
         Ok(Self {
-            schema: TableSchema::new(Arc::new(Schema::new(columns)), of_folders),
+            schema: TableSchema::builder(Arc::new(Schema::new(columns)))
+                .with_table_partition_cols(of_folders)
+                .build(),
             files: files.iter().map(partitioned).collect::<EngineResult<_>>()?,
             readers: Arc::new(LakeFileReaders { lake: lake.clone() }),
         })
