@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use crate::name::{FileName, Range};
 use crate::rows::{COLUMNS, Column, Kind, LakeCheck, Level, VERSION, Value, Values};
 
-const VERSION_KEY: &str = "flankscope.lake";
+pub(crate) const VERSION_KEY: &str = "flankscope.lake";
 const STATION_KEY: &str = "flankscope.station_key";
 const PARTS_KEY: &str = "flankscope.parts";
 /// Kind of the seal's digest.
@@ -149,7 +149,7 @@ impl LakeFile {
     }
 
     /// As a release without some columns would.
-    fn encode_without(&self, columns: &[&str]) -> Result<Vec<u8>, FileError> {
+    pub(crate) fn encode_without(&self, columns: &[&str]) -> Result<Vec<u8>, FileError> {
         let schema = Arc::new(parse_message_type(&schema(columns))?);
         let parts = serde_json::to_string(&self.parts)
             .map_err(|error| FileError::Metadata(error.to_string()))?;
@@ -525,11 +525,11 @@ fn read<T: DataType>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::rows::Stream;
 
-    fn file() -> LakeFile {
+    pub(crate) fn file() -> LakeFile {
         let values = |level| -> Values {
             crate::rows::columns_of(level)
                 .map(|column| match (column.name, column.kind) {

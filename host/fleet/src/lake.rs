@@ -213,6 +213,20 @@ impl Lake {
         })
     }
 
+    /// Reads parts of a file, as they are.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    #[cfg(feature = "query")]
+    pub(crate) async fn read_ranges(
+        &self,
+        name: &FileName,
+        ranges: &[std::ops::Range<u64>],
+    ) -> Result<Vec<Bytes>, LakeError> {
+        let path = self.path(&name.to_string())?;
+        Ok(self.store.get_ranges(&path, ranges).await?)
+    }
+
     /// Removes a file; it is no error if it is gone already.
     ///
     /// # Errors

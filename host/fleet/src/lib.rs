@@ -3,7 +3,7 @@
 //! ```text
 //!  history of a station ──► ship ──► lake (folder or object store) ──► DuckDB, polars, any reader of Parquet
 //!                                     │   ▲
-//!                                 verify  compact
+//!                                 verify  compact, query
 //! ```
 //!
 //! | module | holds |
@@ -16,6 +16,7 @@
 //! | [`verify`] | names what is missing, edited or there twice |
 //! | [`compact`](mod@compact) | joins small files, gives up old days |
 //! | [`retired`] | marks of what was given up |
+//! | `query` | answers questions in SQL, behind a feature |
 //!
 //! It opens histories through `flankscope-record`, without an instrument.
 
@@ -23,6 +24,8 @@ pub mod compact;
 pub mod file;
 pub mod lake;
 pub mod name;
+#[cfg(feature = "query")]
+pub mod query;
 pub mod retired;
 pub mod rows;
 pub mod ship;

@@ -1,4 +1,4 @@
-//! `flankscope-fleet`: ships histories into a lake of Parquet files, verifies and compacts it.
+//! `flankscope-fleet`: ships histories into a lake of Parquet files, verifies and compacts it, and asks it.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -11,6 +11,8 @@ use clap::{Args, Parser, Subcommand};
 use flankscope_fleet::compact::{Compaction, compact};
 use flankscope_fleet::lake::{Lake, LakeError};
 use flankscope_fleet::name::cover;
+#[cfg(feature = "query")]
+use flankscope_fleet::query::{Form, ask, questions};
 use flankscope_fleet::retired::kept;
 use flankscope_fleet::ship::{ShipError, Shipped, Shipper};
 use flankscope_fleet::verify::Verifier;
@@ -45,6 +47,9 @@ enum Command {
     Compact(Compact),
     /// List the files that count, one a line: together they have every check once.
     Files(Files),
+    /// Ask the files that count a question in SQL, or one that has a name; nothing is written but the answer.
+    #[cfg(feature = "query")]
+    Query(Query),
 }
 
 #[derive(Debug, Args)]
@@ -100,6 +105,23 @@ struct Files {
     lake: InLake,
 }
 
+#[cfg(feature = "query")]
+#[derive(Debug, Args)]
+struct Query {
+    /// The lake: a folder, or s3://BUCKET/PREFIX in a build with S3.
+    #[arg(long, value_name = "FOLDER-OR-URL", required_unless_present = "list")]
+    lake: Option<String>,
+    /// One SELECT, EXPLAIN, SHOW or DESCRIBE over the table `checks`, or the name of a question.
+    #[arg(value_name = "SQL-OR-NAME", required_unless_present = "list")]
+    question: Option<String>,
+    /// List the questions that have a name, and what each answers.
+    #[arg(long)]
+    list: bool,
+    /// Form of the answer, on the standard output.
+    #[arg(long = "as", value_enum, default_value_t = Form::Table)]
+    form: Form,
+}
+
 fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
@@ -116,6 +138,8 @@ fn main() -> ExitCode {
                 Command::Verify(verify) => verify.run().await,
                 Command::Compact(compact) => compact.run().await,
                 Command::Files(files) => files.run().await,
+                #[cfg(feature = "query")]
+                Command::Query(query) => query.run().await,
             }
         })
     };
@@ -267,6 +291,22 @@ impl Compact {
             true => ExitCode::SUCCESS,
             false => ExitCode::from(FOUND),
         })
+    }
+}
+
+#[cfg(feature = "query")]
+impl Query {
+    async fn run(&self) -> anyhow::Result<ExitCode> {
+        if let (Some(lake), Some(question)) = (&self.lake, &self.question) {
+            let answer = ask(&Lake::open(lake)?, question).await?;
+            answer.write(self.form, std::io::BufWriter::new(std::io::stdout()))?;
+        }
+        if self.list {
+            for question in questions() {
+                println!("{}: {}", question.name, question.sentence);
+            }
+        }
+        Ok(ExitCode::SUCCESS)
     }
 }
 

@@ -24,8 +24,8 @@ cargo xtask COMMAND
                          and how to get it; --all: fails instead, and runs the long campaigns
   deps                   the arrows between the rooms: who may depend on whom; licences and sources of other people's crates
   python                 the Python package: installed by pip into an environment below target, its tests, its examples, its types
-  fleet [--all]          the fleet's program, a workspace of its own: rustfmt, clippy, its tests; other readers of Parquet and a
-                         server that speaks S3 by pip in an environment below target; --all: 200 kills instead of 60
+  fleet [--all]          the fleet's program and its questions, a workspace of its own: rustfmt, clippy, its tests; other readers
+                         of Parquet and a server that speaks S3 by pip in an environment below target; --all: 200 kills, not 60
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
   firmware               every board image, with its budgets

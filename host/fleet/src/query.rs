@@ -1,0 +1,223 @@
+//! Questions in SQL to a lake, answered by DataFusion in this process.
+//!
+//! The table `checks` is made of the files that count, as `flankscope-fleet files` lists them, and of nothing else. It is only read:
+//! statements that write or define anything are refused, and no other file can be named. An answer is whole or there is none.
+
+mod answer;
+mod file_reader;
+mod table;
+
+use std::sync::Arc;
+
+use datafusion::arrow::array::RecordBatch;
+use datafusion::arrow::datatypes::SchemaRef;
+use datafusion::arrow::error::ArrowError;
+use datafusion::error::DataFusionError;
+use datafusion::execution::context::SQLOptions;
+use datafusion::functions_aggregate::first_last::last_value_udaf;
+use datafusion::parquet::errors::ParquetError;
+use datafusion::prelude::{SessionConfig, SessionContext};
+
+use crate::lake::{Lake, LakeError};
+use crate::name::{FileName, cover};
+use crate::retired::kept;
+use table::ChecksTable;
+
+pub use answer::Form;
+
+/// Views and named questions, for people and for DuckDB, too.
+pub const QUESTIONS_SQL: &str = include_str!("questions.sql");
+
+/// Begins a question's name in [`QUESTIONS_SQL`].
+const NAME: &str = "-- name: ";
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum QueryError {
+    #[error(transparent)]
+    Lake(#[from] LakeError),
+    #[error(
+        "{one} and {other} have the same checks, so none of them is believed; `verify` says more"
+    )]
+    Doubled {
+        one: Box<FileName>,
+        other: Box<FileName>,
+    },
+    #[error("\"{asked}\" is neither SQL nor a named question; these are {}", names().join(", "))]
+    NoQuestion { asked: String },
+    #[error("{0}")]
+    Engine(#[from] DataFusionError),
+    #[error("the answer cannot be written: {0}")]
+    Arrow(#[from] ArrowError),
+    #[error("the answer cannot be written: {0}")]
+    Parquet(#[from] ParquetError),
+    #[error("the answer cannot be written: {0}")]
+    Output(#[from] std::io::Error),
+}
+
+/// A question with a name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Question {
+    pub name: &'static str,
+    /// What it answers, in one sentence.
+    pub sentence: &'static str,
+    pub sql: &'static str,
+}
+
+/// The questions with a name, in the order of the file.
+pub fn questions() -> impl Iterator<Item = Question> {
+    let parts = QUESTIONS_SQL.split(NAME).skip(1);
+    parts.filter_map(|part| {
+        let (name, rest) = part.split_once("\n-- ")?;
+        let (sentence, sql) = rest.split_once('\n')?;
+        let sql = sql.trim().trim_end_matches(';');
+        Some(Question {
+            name,
+            sentence,
+            sql,
+        })
+    })
+}
+
+fn names() -> Vec<&'static str> {
+    questions().map(|question| question.name).collect()
+}
+
+/// What is asked: SQL, or the SQL of a name. No name is SQL, and no SQL is one word.
+fn sql(asked: &str) -> Result<&str, QueryError> {
+    let named = questions().find(|question| question.name == asked);
+    match named {
+        Some(question) => Ok(question.sql),
+        None if asked.trim().contains(char::is_whitespace) => Ok(asked),
+        None => Err(QueryError::NoQuestion {
+            asked: asked.to_owned(),
+        }),
+    }
+}
+
+/// Rows that answer a question.
+#[derive(Debug)]
+pub struct Answer {
+    pub schema: SchemaRef,
+    pub batches: Vec<RecordBatch>,
+}
+
+/// Asks a lake: SQL, or a named question.
+///
+/// # Errors
+/// The lake cannot be read, a file that the answer needs is damaged, or the question is refused.
+pub async fn ask(lake: &Lake, asked: &str) -> Result<Answer, QueryError> {
+    let sql = sql(asked)?;
+    let context = context(lake).await?;
+    let only_read = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    let frame = context.sql_with_options(sql, only_read).await?;
+    let schema = Arc::clone(frame.schema().inner());
+    Ok(Answer {
+        schema,
+        batches: frame.collect().await?,
+    })
+}
+
+/// The table and the views.
+async fn context(lake: &Lake) -> Result<SessionContext, QueryError> {
+    let listing = lake.list(None).await?;
+    let mut files = listing.files;
+    let names = files.iter().map(|file| file.name.clone());
+    let found = cover(kept(names, &listing.retired));
+    if let Some((one, other)) = found.doubled.first() {
+        return Err(QueryError::Doubled {
+            one: Box::new(one.clone()),
+            other: Box::new(other.clone()),
+        });
+    }
+    let current: std::collections::BTreeSet<&FileName> = found.current.iter().collect();
+    files.retain(|file| current.contains(&file.name));
+    let context =
+        SessionContext::new_with_config(SessionConfig::new().with_information_schema(true));
+    // DuckDB's word for it.
+    let last = (*last_value_udaf()).clone().with_aliases(["last"]);
+    context.register_udaf(last);
+    context.register_table("checks", Arc::new(ChecksTable::new(lake, &files)?))?;
+    let views = QUESTIONS_SQL.split(NAME).next().unwrap_or_default();
+    for view in views
+        .split_inclusive(";\n")
+        .filter(|view| view.contains("CREATE VIEW"))
+    {
+        context.sql(view).await?;
+    }
+    Ok(context)
+}
+
+#[cfg(test)]
+mod tests {
+    use datafusion::arrow::util::display::array_value_to_string;
+    use flankscope_record::seal::Seals;
+
+    use super::*;
+    use crate::file::LakeFile;
+    use crate::file::tests::file;
+
+    /// A new file, and one as a release without some columns would have written it, changed.
+    fn asked(
+        without: &[&str],
+        changed: impl Fn(Vec<u8>) -> Vec<u8>,
+    ) -> (FileName, Result<Vec<String>, QueryError>) {
+        let folder = tempfile::tempdir().unwrap();
+        let lake = Lake::open(folder.path().to_str().unwrap()).unwrap();
+        let new = file();
+        let (mut range, mut checks) = (new.range.clone(), new.checks.clone());
+        (range.first, range.last) = (8, 8);
+        checks[0].set("check_number", 8.into());
+        let old = LakeFile::sealed(range, checks, &Seals::passing().unwrap());
+        let runtime = tokio::runtime::Builder::new_current_thread().build();
+        let runtime = runtime.unwrap();
+        for (file, bytes) in [
+            (&new, new.encode().unwrap()),
+            (&old, changed(old.encode_without(without).unwrap())),
+        ] {
+            let name = file.name().to_string();
+            runtime.block_on(lake.put(&name, bytes)).unwrap();
+        }
+        let sql = "SELECT DISTINCT check_number || ' ' || coalesce(baseline, '-') || ' ' || coalesce(patch, '-') FROM checks ORDER BY 1";
+        let answer = runtime.block_on(ask(&lake, sql)).map(|answer| {
+            let rows = |batch: &RecordBatch| -> Vec<String> {
+                let row = |row| array_value_to_string(batch.column(0), row).unwrap();
+                (0..batch.num_rows()).map(row).collect()
+            };
+            answer.batches.iter().flat_map(rows).collect()
+        });
+        (old.name(), answer)
+    }
+
+    #[test]
+    fn an_old_file_counts_beside_a_new_one_and_a_newer_one_is_refused_by_name() {
+        let (_, answer) = asked(&["baseline", "patch"], |bytes| bytes);
+        assert_eq!(answer.unwrap(), ["7 baseline patch", "8 - -"]);
+        let replace = |from: &'static str, to: &'static str| {
+            move |mut bytes: Vec<u8>| {
+                let at = |at: &usize| bytes[*at..].starts_with(from.as_bytes());
+                let places: Vec<usize> = (0..bytes.len()).filter(at).collect();
+                assert!(!places.is_empty());
+                for at in places {
+                    bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+                }
+                bytes
+            }
+        };
+        let newer = replace("flankscope.lake\x18\x011", "flankscope.lake\x18\x012");
+        for ((name, answer), why) in [
+            (asked(&[], newer), "version 2 of the table"),
+            (asked(&[], replace("operator", "operated")), "\"operated\""),
+            (asked(&["reason"], |bytes| bytes), "\"reason\" is missing"),
+        ] {
+            let error = answer.unwrap_err().to_string();
+            assert!(
+                error.contains(why) && error.contains(&name.to_string()),
+                "{error}"
+            );
+        }
+    }
+}
