@@ -11,13 +11,18 @@ const SLACK: f64 = 0.5;
 /// A sum above this many standard deviations is a change. While the line holds, the two sums together give one false alarm in 465
 /// checks on average (Montgomery, Introduction to Statistical Quality Control).
 const ALARM: f64 = 5.0;
-/// Smallest relevant shift, as a fraction of the warning limit. A smaller shift changes no decision, and the scatter of a few
-/// checks, by which a shift is detected, is itself known only to a factor of two.
+/// Smallest relevant shift, as a fraction of the warning limit: a smaller one changes no decision.
 const LEAST_SHARE_OF_WARN: f64 = 0.05;
 /// Smallest scatter, µm: below it is the resolution of the stored values, not of the instrument.
 const LEAST_SCATTER_UM: f64 = 1e-3;
 /// Median of the absolute value of a normal variable, in standard deviations.
 const MEDIAN_ABSOLUTE: f64 = 0.674_489_75;
+/// What a median of absolute values tells of a scatter, relative to the mean of squares of as many values (Hampel 1974).
+const MEDIAN_EFFICIENCY: f64 = 0.37;
+/// A shift counts beyond so many of its own standard deviations.
+const COVERAGE: f64 = 2.0;
+/// 95 % quantile of the normal distribution.
+const NORMAL_95: f64 = 1.644_854;
 
 /// The cumulative sums of positive and of negative errors.
 #[derive(Clone, Debug, Default)]
@@ -97,12 +102,16 @@ impl Line {
 }
 
 /// Indices of the points at which the wear left its line permanently by at least a twentieth of the warning limit, ascending.
+///
+/// The scatter by which a shift is detected is that of the points themselves. Few of them know it badly, so a shift must be large
+/// even if the scatter is as large as they allow: the first checks of a die raise no alarm by chance.
 #[must_use]
 pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     let Some(scatter_um) = scatter_um(points) else {
         return Vec::new();
     };
     let least_um = LEAST_SHARE_OF_WARN * warn_um;
+    let largest_scatter_um = scatter_um * largest_scatter_ratio(points.len());
     let mut changes = Vec::new();
     let mut line = Line::default();
     let mut sums = Sums::default();
@@ -114,7 +123,8 @@ pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
         if let Some(since) = alarm {
             let from = next + 1 - since;
             let begun = changes.last().copied().unwrap_or(0);
-            if shift_um(&points[begun..from], &points[from..=next]) >= least_um {
+            let (shift_um, sigmas) = shift(&points[begun..from], &points[from..=next]);
+            if shift_um >= least_um && shift_um >= COVERAGE * sigmas * largest_scatter_um {
                 // The next line begins where the shift did.
                 changes.push(from);
                 line = Line::default();
@@ -130,14 +140,37 @@ pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     changes
 }
 
-/// Mean distance of later points from the line through earlier ones, µm; from their mean if they determine no slope.
-fn shift_um(earlier: &[Point], later: &[Point]) -> f64 {
+/// Mean distance of later points from the line through earlier ones, µm (from their mean if they determine no slope), and its standard
+/// deviation in units of the points' scatter.
+fn shift(earlier: &[Point], later: &[Point]) -> (f64, f64) {
     let mut line = Line::default();
     for point in earlier {
         line.add(point);
     }
+    let count = later.len().max(1) as f64;
     let off = later.iter().map(|point| point.wear_um - line.at(point));
-    (off.sum::<f64>() / later.len().max(1) as f64).abs()
+    let away = later.iter().map(|point| point.cycles - line.mean_cycles);
+    let away = away.sum::<f64>() / count;
+    let of_slope = if line.spread > 0.0 {
+        away * away / line.spread
+    } else {
+        0.0
+    };
+    let variance = 1.0 / count + 1.0 / line.count.max(1.0) + of_slope;
+    ((off.sum::<f64>() / count).abs(), variance.sqrt())
+}
+
+/// Upper bound (95 %) of the scatter of so many points, relative to that which [`scatter_um`] finds: by the chi-squared distribution
+/// (Wilson and Hilferty, PNAS 17, 1931).
+fn largest_scatter_ratio(points: usize) -> f64 {
+    let freedom = MEDIAN_EFFICIENCY * points.saturating_sub(2) as f64;
+    let variance = 2.0 / (9.0 * freedom);
+    let root = 1.0 - variance - NORMAL_95 * variance.sqrt();
+    if root > 0.0 {
+        root.powf(-1.5)
+    } else {
+        f64::INFINITY
+    }
 }
 
 /// Standard deviation of a value about the line through its neighbours; the median is insensitive to the few places where the
@@ -181,13 +214,29 @@ mod tests {
 
     #[test]
     fn a_shift_counts_from_a_twentieth_of_the_warning_limit_on() {
-        // The median of three second differences gives a scatter of 0.09 µm; the first value alone is off by more.
-        let chance = points(&[4.65, 10.43, 15.48, 20.51, 25.39]);
-        assert!(changes(&chance, 30.0).is_empty());
-        assert_eq!(changes(&chance, 0.0).len(), 1);
-        // The same shift is more than a twentieth of 10 µm.
-        assert_eq!(changes(&chance, 10.0).len(), 1);
+        let shifted = |um: f64| -> Vec<f64> {
+            let scattered = |i: u32| 5.0 * f64::from(i) + if i % 2 == 0 { 0.05 } else { -0.05 };
+            let shifted = |i| scattered(i) + if i < 12 { 0.0 } else { um };
+            (0..20).map(shifted).collect()
+        };
+        assert_eq!(changes(&points(&shifted(1.0)), 10.0), [12]);
+        assert!(changes(&points(&shifted(1.0)), 30.0).is_empty());
+        assert_eq!(changes(&points(&shifted(2.0)), 30.0), [12]);
         let chipped = points(&[5.0, 10.0, 15.0, 20.0, 25.0, 32.0, 37.0, 42.0]);
         assert_eq!(changes(&chipped, 30.0), [5]);
+    }
+
+    #[test]
+    fn the_scatter_of_five_checks_is_hardly_known() {
+        // Their scatter looks like 0.09 µm; the first value alone is off by more.
+        let chance = points(&[4.65, 10.43, 15.48, 20.51, 25.39]);
+        assert!(changes(&chance, 0.0).is_empty());
+        // The 5 % quantile of chi-squared with 10 degrees of freedom is 3.940.
+        let points_of_ten = 2 + (10.0 / MEDIAN_EFFICIENCY).round() as usize;
+        let freedom = MEDIAN_EFFICIENCY * (points_of_ten - 2) as f64;
+        let expected = (10.0_f64 / 3.940).sqrt();
+        assert!((freedom - 10.0).abs() < 0.1);
+        assert!((largest_scatter_ratio(points_of_ten) - expected).abs() < 0.01 * expected);
+        assert_eq!(largest_scatter_ratio(2), f64::INFINITY);
     }
 }
