@@ -8,8 +8,8 @@ use std::time::Duration;
 use flankscope_foundation::display::plain;
 use flankscope_foundation::files::{read_regular, write_whole_with_mode};
 
+use crate::beside::beside;
 use crate::document::{LiveLine, MOST_LIVE_BYTES, live_socket};
-use crate::history::beside;
 
 /// Longest content, bytes: a name.
 const MOST_BYTES: u64 = 256;

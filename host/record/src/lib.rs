@@ -15,6 +15,7 @@
 //! page and analyses read them.
 
 pub mod baseline;
+mod beside;
 pub mod check_request;
 pub mod die;
 pub mod document;

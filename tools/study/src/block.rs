@@ -1,7 +1,5 @@
 //! One calibrated head in front of one die at one place, with all cases of damage that are applied there.
 
-use std::collections::BTreeMap;
-
 use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::tool::{Temperature, Tool};
 use flankscope_profilometry::HeadModel;
@@ -13,7 +11,7 @@ use super::calibration::Rig;
 use super::capture::{Instrument, Trouble, judged};
 use super::cases::{Case, Damaged, Group, Right};
 use super::setup::{Place, Setup, flank, own_seed};
-use super::tally::{Sample, budget_um};
+use super::tally::{Found, Sample, budget_um};
 use super::truth;
 use flankscope_bench::damage::{Damage, Random, Workpiece};
 use flankscope_bench::world::{FlankId, Wear, WearKind, World};
@@ -53,17 +51,6 @@ pub struct PointSigma {
 pub(super) struct Measured {
     pub report: BlockReport,
     pub found: Vec<Found>,
-}
-
-/// One flank in one capture.
-#[derive(Serialize, Deserialize)]
-pub(super) struct Found {
-    /// Index of its case among the chosen ones.
-    pub case: usize,
-    pub is_right: bool,
-    pub sample: Sample,
-    /// Sources and standard uncertainties, µm.
-    pub budget_um: BTreeMap<String, f64>,
 }
 
 /// Which die stands before the head, but for its damage.

@@ -3,8 +3,7 @@
 use std::fmt::{Error, Write as _};
 
 use super::cases::DEEPEST_UM;
-use super::page::{percent, upper_bound};
-use super::tally::Share;
+use super::tally::{Share, percent, upper_bound};
 use super::{Cell, Group, Sample};
 
 /// Width of a bin of true depths, µm.

@@ -15,10 +15,11 @@ use dies::die;
 
 use super::Args;
 use super::capture::judged;
-use super::page::{command, upper_bound};
+use super::page::command;
 use super::runs::{self, Counts};
 use super::setup::{Setup, flank, on_all_cores};
 use super::stand::Stand;
+use super::tally::upper_bound;
 
 /// Limits of the demo tool, µm.
 pub(super) const WARN_UM: f64 = 30.0;

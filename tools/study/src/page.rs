@@ -13,7 +13,7 @@ use super::chart::Frame;
 use super::runs::{self, Counts};
 use super::setup::{FLANKS_UM, word};
 use super::staircase::{self, Profile};
-use super::tally::Share;
+use super::tally::{Share, percent, upper_bound};
 use super::{Args, BlockReport, Cell, Group, Outcome, PointSigma, Sample, Subject};
 
 /// Width and height of the plot, and its margins, px.
@@ -507,38 +507,6 @@ fn by_wear(sample: &Sample) -> bool {
         .is_some_and(|why| why.starts_with("wear "))
 }
 
-/// Upper end of the one-sided 95 % interval for a rate with `hits` of `all` (Clopper and Pearson 1934).
-pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
-    // Cumulative binomial probability, summed downwards from the most likely term by ratios of neighbours.
-    let at_most = |rate: f64| {
-        let mut term = (all as f64) * (1.0 - rate).ln();
-        let mut sum = term.exp();
-        for k in 0..hits {
-            term += ((all - k) as f64 / (k + 1) as f64).ln() + (rate / (1.0 - rate)).ln();
-            sum += term.exp();
-        }
-        sum
-    };
-    let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..50 {
-        let middle = 0.5 * (low + high);
-        if at_most(middle) > 0.05 {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    high
-}
-
-pub(super) fn percent(share: f64) -> String {
-    if share.is_finite() {
-        format!("{:.1} %", 100.0 * share)
-    } else {
-        "–".into()
-    }
-}
-
 /// Measured minus true value against the true value, each with its U95.
 fn errors(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     let ([width, height], [left, low]) = (SIZE, MARGIN);
@@ -600,17 +568,4 @@ fn errors(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     }
     svg.push_str("</svg>\n");
     Ok(svg)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::upper_bound;
-
-    #[test]
-    fn bounds_of_rates_are_those_of_the_tables() {
-        // 0 of n: 1 - 0.05^(1/n). 5 of 100: 10.225 % (Clopper and Pearson's tables).
-        assert!((upper_bound(0, 200) - (1.0 - 0.05_f64.powf(1.0 / 200.0))).abs() < 1e-9);
-        assert!((upper_bound(5, 100) - 0.10225).abs() < 1e-4);
-        assert!((upper_bound(3, 3) - 1.0).abs() < 1e-9);
-    }
 }

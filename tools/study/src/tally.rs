@@ -6,7 +6,6 @@ use flankscope_record::document::Feature;
 use serde::{Deserialize, Serialize};
 
 use super::Group;
-use super::block::Found;
 
 /// One flank in one capture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -26,6 +25,17 @@ pub struct Sample {
     /// Short name of that reason, if it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub code: Option<String>,
+}
+
+/// One flank in one capture, as a block keeps it.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Found {
+    /// Index of its case among the chosen ones.
+    pub case: usize,
+    pub is_right: bool,
+    pub sample: Sample,
+    /// Sources and standard uncertainties, µm.
+    pub budget_um: BTreeMap<String, f64>,
 }
 
 /// A measured depth.
@@ -233,5 +243,50 @@ impl Cell {
             self.u95_um(),
             100.0 * self.coverage(),
         )
+    }
+}
+
+/// Upper end of the one-sided 95 % interval for a rate with `hits` of `all` (Clopper and Pearson 1934).
+pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
+    // Cumulative binomial probability, summed downwards from the most likely term by ratios of neighbours.
+    let at_most = |rate: f64| {
+        let mut term = (all as f64) * (1.0 - rate).ln();
+        let mut sum = term.exp();
+        for k in 0..hits {
+            term += ((all - k) as f64 / (k + 1) as f64).ln() + (rate / (1.0 - rate)).ln();
+            sum += term.exp();
+        }
+        sum
+    };
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if at_most(middle) > 0.05 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+pub(super) fn percent(share: f64) -> String {
+    if share.is_finite() {
+        format!("{:.1} %", 100.0 * share)
+    } else {
+        "–".into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::upper_bound;
+
+    #[test]
+    fn bounds_of_rates_are_those_of_the_tables() {
+        // 0 of n: 1 - 0.05^(1/n). 5 of 100: 10.225 % (Clopper and Pearson's tables).
+        assert!((upper_bound(0, 200) - (1.0 - 0.05_f64.powf(1.0 / 200.0))).abs() < 1e-9);
+        assert!((upper_bound(5, 100) - 0.10225).abs() < 1e-4);
+        assert!((upper_bound(3, 3) - 1.0).abs() < 1e-9);
     }
 }

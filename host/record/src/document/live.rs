@@ -8,7 +8,7 @@ use flankscope_metrology::verdict::Shown;
 use flankscope_profilometry::head::HeadDates;
 use serde::{Deserialize, Serialize};
 
-use crate::history::beside;
+use crate::beside::beside;
 
 /// Longest line of a watch, bytes: the pictures of a check take a tenth of it.
 pub const MOST_LIVE_BYTES: u64 = 4 << 20;

@@ -215,7 +215,8 @@ mod tests {
     #[test]
     fn a_shift_counts_from_a_twentieth_of_the_warning_limit_on() {
         let shifted = |um: f64| -> Vec<f64> {
-            let scattered = |i: u32| 5.0 * f64::from(i) + if i % 2 == 0 { 0.05 } else { -0.05 };
+            let scattered =
+                |i: u32| 5.0 * f64::from(i) + if i.is_multiple_of(2) { 0.05 } else { -0.05 };
             let shifted = |i| scattered(i) + if i < 12 { 0.0 } else { um };
             (0..20).map(shifted).collect()
         };

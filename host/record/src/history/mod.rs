@@ -12,7 +12,6 @@
 //! | `rows` | reads the file |
 //! | `schema` | tables, their version, and detection of foreign definitions |
 //! | `chain` | a keyed digest over every row and the one before it |
-//! | `beside` | names of the files beside it |
 //! | `linked` | checks with their links, from a position on |
 //! | `same_die` | which checks are of one die |
 //! | `hold` | allows one watch at a time per die, by device and inode of the file |
@@ -28,7 +27,6 @@
 //! | `phasors` | data of verdicts, in files beside the store |
 //! | `retention` | which phasor files are kept |
 
-mod beside;
 mod chain;
 mod change;
 mod dates;
@@ -51,7 +49,6 @@ mod store;
 mod trend;
 mod writer;
 
-pub(crate) use beside::beside;
 pub use change::changes;
 pub use dates::clock_set_back;
 pub use error::HistoryError;

@@ -14,9 +14,9 @@ use flate2::write::ZlibEncoder;
 
 use flankscope_metrology::verdict::Word;
 
-use super::beside::beside;
 use super::error::HistoryError;
 use super::store::History;
+use crate::beside::beside;
 use crate::document::Phasors;
 use flankscope_foundation::files;
 

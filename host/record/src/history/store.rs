@@ -9,12 +9,12 @@ use rusqlite::{
     Connection, OpenFlags, OptionalExtension, Transaction, TransactionBehavior, params,
 };
 
-use super::beside::beside;
 use super::chain::{self, Row};
 use super::dates::dated_before;
 use super::error::HistoryError;
 use super::same_die::same_as_asked;
 use super::schema::{self, APPLICATION_ID, VERSION};
+use crate::beside::beside;
 use crate::die::DieKey;
 use crate::document::Inspection;
 use crate::origin::Origin;
