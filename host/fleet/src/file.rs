@@ -233,15 +233,8 @@ impl LakeFile {
             .flatten()
             .filter_map(|pair| Some((&pair.key[..], pair.value.as_deref()?)))
             .collect();
-        let of = |key| {
-            let value = key_values.get(key).copied();
-            value.ok_or_else(|| FileError::Metadata(format!("{key} is missing")))
-        };
-        let version = of(VERSION_KEY)?;
-        if !version.parse().is_ok_and(|version: u32| version <= VERSION) {
-            let got = version.to_owned();
-            return Err(FileError::Version { got });
-        }
+        check_version(key_values.get(VERSION_KEY).copied())?;
+        let of = |key| key_values.get(key).copied().ok_or_else(|| missing(key));
         let parts = serde_json::from_str(of(PARTS_KEY)?)
             .map_err(|error| FileError::Metadata(error.to_string()))?;
         let station_key = of(STATION_KEY)?.to_owned();
@@ -401,27 +394,51 @@ fn write<T: DataType>(
     Ok(())
 }
 
+fn missing(key: &str) -> FileError {
+    FileError::Metadata(format!("{key} is missing"))
+}
+
+/// Whether this release knows the version of the table that a file states.
+pub(crate) fn check_version(version: Option<&str>) -> Result<(), FileError> {
+    let version = version.ok_or_else(|| missing(VERSION_KEY))?;
+    match version.parse() {
+        Ok(0..=VERSION) => Ok(()),
+        _ => Err(FileError::Version {
+            got: version.to_owned(),
+        }),
+    }
+}
+
+/// Whether this release knows all columns of a file, and none is missing that every file has.
+pub(crate) fn check_columns(names: &[&str]) -> Result<(), FileError> {
+    let is_known = |name: &&&str| COLUMNS.iter().any(|column| column.name == **name);
+    if let Some(strange) = names.iter().find(|name| !is_known(name)) {
+        let column = (*strange).to_owned();
+        return Err(FileError::UnknownColumn { column });
+    }
+    let missing = |column: &&Column| column.required && !names.contains(&column.name);
+    match COLUMNS.iter().find(missing) {
+        Some(Column { name: column, .. }) => Err(FileError::MissingColumn { column }),
+        None => Ok(()),
+    }
+}
+
 /// Reads all rows and joins those of each check.
 fn read_checks(group: &dyn RowGroupReader) -> Result<Vec<LakeCheck>, FileError> {
     let metadata = group.metadata();
     let rows = usize::try_from(metadata.num_rows()).unwrap_or(0);
-    let mut at: HashMap<String, usize> = HashMap::new();
-    for (index, column) in metadata.columns().iter().enumerate() {
-        let name = column.column_path().string();
-        if !COLUMNS.iter().any(|column| column.name == name) {
-            return Err(FileError::UnknownColumn { column: name });
-        }
-        at.insert(name, index);
-    }
+    let columns = metadata.columns().iter();
+    let names: Vec<String> = columns
+        .map(|column| column.column_path().string())
+        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    check_columns(&names)?;
+    let at: HashMap<&str, usize> = names.into_iter().zip(0..).collect();
     let mut of_checks: Vec<Values> = Vec::new();
     let mut of_flanks: Vec<Values> = Vec::new();
     for column in COLUMNS {
         let values = match at.get(column.name) {
             Some(index) => read_column(group, *index, column, rows)?,
-            None if column.required => {
-                let column = column.name;
-                return Err(FileError::MissingColumn { column });
-            }
             // A file from before this column.
             None => vec![None; rows],
         };

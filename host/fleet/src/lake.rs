@@ -12,8 +12,8 @@ use object_store::{
 };
 
 use crate::file::{FileError, LakeFile};
-use crate::name::FileName;
-use crate::retired::Retired;
+use crate::name::{Cover, FileName, cover};
+use crate::retired::{Retired, kept};
 
 /// Why the lake cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -62,6 +62,15 @@ pub struct Listing {
     pub retired: Vec<Retired>,
     /// Objects that this program does not write.
     pub foreign: Vec<String>,
+}
+
+impl Listing {
+    /// Which of the files count, but for those that were given up.
+    #[must_use]
+    pub fn cover(&self) -> Cover {
+        let names = self.files.iter().map(|file| file.name.clone());
+        cover(kept(names, &self.retired))
+    }
 }
 
 /// A lake.

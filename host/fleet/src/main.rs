@@ -10,10 +10,8 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use flankscope_fleet::compact::{Compaction, compact};
 use flankscope_fleet::lake::{Lake, LakeError};
-use flankscope_fleet::name::cover;
 #[cfg(feature = "query")]
 use flankscope_fleet::query::{Form, ask, questions};
-use flankscope_fleet::retired::kept;
 use flankscope_fleet::ship::{ShipError, Shipped, Shipper};
 use flankscope_fleet::verify::Verifier;
 use flankscope_record::history::History;
@@ -314,8 +312,7 @@ impl Files {
     async fn run(&self) -> anyhow::Result<ExitCode> {
         let lake = self.lake.open()?;
         let listing = lake.list(None).await?;
-        let names = listing.files.into_iter().map(|file| file.name);
-        let found = cover(kept(names, &listing.retired));
+        let found = listing.cover();
         for name in &found.current {
             println!("{}/{name}", self.lake.lake.trim_end_matches('/'));
         }

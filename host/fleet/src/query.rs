@@ -19,8 +19,7 @@ use datafusion::parquet::errors::ParquetError;
 use datafusion::prelude::{SessionConfig, SessionContext};
 
 use crate::lake::{Lake, LakeError};
-use crate::name::{FileName, cover};
-use crate::retired::kept;
+use crate::name::FileName;
 use table::ChecksTable;
 
 pub use answer::Form;
@@ -124,9 +123,7 @@ pub async fn ask(lake: &Lake, asked: &str) -> Result<Answer, QueryError> {
 /// The table and the views.
 async fn context(lake: &Lake) -> Result<SessionContext, QueryError> {
     let listing = lake.list(None).await?;
-    let mut files = listing.files;
-    let names = files.iter().map(|file| file.name.clone());
-    let found = cover(kept(names, &listing.retired));
+    let found = listing.cover();
     if let Some((one, other)) = found.doubled.first() {
         return Err(QueryError::Doubled {
             one: Box::new(one.clone()),
@@ -134,6 +131,7 @@ async fn context(lake: &Lake) -> Result<SessionContext, QueryError> {
         });
     }
     let current: std::collections::BTreeSet<&FileName> = found.current.iter().collect();
+    let mut files = listing.files;
     files.retain(|file| current.contains(&file.name));
     let context =
         SessionContext::new_with_config(SessionConfig::new().with_information_schema(true));

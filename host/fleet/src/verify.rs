@@ -7,8 +7,8 @@ use flankscope_record::seal::{SealError, Seals};
 
 use crate::file::LakeFile;
 use crate::lake::{Lake, LakeError};
-use crate::name::{Cover, FileName, cover};
-use crate::retired::{Retired, first_kept, kept};
+use crate::name::{Cover, FileName};
+use crate::retired::{Retired, first_kept};
 use crate::rows::{LakeCheck, NoTime, Stream};
 
 /// Why a lake cannot be verified; what is wrong with it is a [`Finding`] instead.
@@ -133,18 +133,14 @@ impl<'a> Verifier<'a> {
     /// The lake or the history cannot be read.
     pub async fn run(mut self, history: Option<&History>) -> Result<Report, VerifyError> {
         let listing = self.lake.list(None).await?;
-        for path in listing.foreign {
-            self.report.findings.push(Finding::Foreign { path });
-        }
-        let names = kept(
-            listing.files.into_iter().map(|file| file.name),
-            &listing.retired,
-        );
         let Cover {
             current,
             redundant,
             doubled,
-        } = cover(names);
+        } = listing.cover();
+        for path in listing.foreign {
+            self.report.findings.push(Finding::Foreign { path });
+        }
         self.report.current = current.len() as u64;
         self.report.redundant = redundant.len() as u64;
         for (one, other) in doubled {

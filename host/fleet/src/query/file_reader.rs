@@ -17,10 +17,9 @@ use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
 use futures_util::FutureExt;
 use futures_util::future::BoxFuture;
 
-use crate::file::{FileError, VERSION_KEY};
+use crate::file::{FileError, VERSION_KEY, check_columns, check_version};
 use crate::lake::{Lake, LakeError};
 use crate::name::FileName;
-use crate::rows::{COLUMNS, VERSION};
 
 /// Bytes at the end of a file that are read at once: its metadata take less.
 const METADATA_BYTES: usize = 1 << 15;
@@ -121,33 +120,7 @@ fn known(metadata: &ParquetMetaData) -> Result<(), FileError> {
     let file = metadata.file_metadata();
     let mut pairs = file.key_value_metadata().into_iter().flatten();
     let version = pairs.find(|pair| pair.key == VERSION_KEY);
-    let version = version
-        .and_then(|pair| pair.value.as_deref())
-        .unwrap_or_default();
-    if !version.parse().is_ok_and(|version: u32| version <= VERSION) {
-        let got = version.to_owned();
-        return Err(FileError::Version { got });
-    }
-    let there: Vec<&str> = file
-        .schema_descr()
-        .columns()
-        .iter()
-        .map(|column| column.name())
-        .collect();
-    let strange = there
-        .iter()
-        .find(|name| COLUMNS.iter().all(|column| column.name != **name));
-    if let Some(name) = strange {
-        let column = (*name).to_owned();
-        return Err(FileError::UnknownColumn { column });
-    }
-    let missing = COLUMNS
-        .iter()
-        .find(|column| column.required && !there.contains(&column.name));
-    match missing {
-        Some(column) => Err(FileError::MissingColumn {
-            column: column.name,
-        }),
-        None => Ok(()),
-    }
+    check_version(version.and_then(|pair| pair.value.as_deref()))?;
+    let columns = file.schema_descr().columns().iter();
+    check_columns(&columns.map(|column| column.name()).collect::<Vec<&str>>())
 }
