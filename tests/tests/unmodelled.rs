@@ -96,3 +96,12 @@ fn no_form_of_the_bore_lets_a_worn_flank_pass() {
     let word = seen.flank(39, "left").unwrap_or_default();
     assert!(STOPPED.contains(&word), "{word}");
 }
+
+/// Beyond what the simulated camera can show, the check could not run: no view is shown unshifted instead.
+#[test]
+fn shifts_of_the_cores_that_together_go_too_far_are_refused() {
+    let refused = inspect_on("[head]\ncore_drift_px = 6.0\ntwist_px = -6.0\n", &[]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    let words = "move the cores' image by up to 12 px; together 10 px are possible";
+    assert!(refused.stderr.contains(words), "{}", refused.stderr);
+}

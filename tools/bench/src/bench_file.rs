@@ -371,7 +371,7 @@ fn share<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
 }
 
 fn core_shift_px<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    within(from, -5.0, 5.0)
+    within(from, -10.0, 10.0)
 }
 
 fn strokes_per_minute<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
@@ -459,7 +459,7 @@ mod tests {
         let path = folder.path().join("bench.toml");
         for (table, wrong, right) in [
             ("head", "lens_error_um = 11", "from 0 to 10"),
-            ("head", "core_drift_px = -6", "from -5 to 5"),
+            ("head", "core_drift_px = -11", "from -10 to 10"),
             ("head", "twist_loss_ratio = 1.1", "from 0 to 1"),
             ("surface", "film_um = -1", "from 0 to 200"),
             ("surface", "bounces = 0", "1 to 16"),

@@ -388,7 +388,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
         }
-        self.warm(rotation_rad);
+        self.shift_and_dim(rotation_rad);
         match self
             .world
             .prepare(rotation_rad, vertical_mm, &self.patterns)
@@ -403,7 +403,7 @@ impl<S: FrameSink> FrameRenderer<S> {
 
     /// Shifts the cores' image for a cold head in a warm die, with an exponential approach to the final value, and for bundles that
     /// twist and bend as the head turns: by a sine, and a loss that grows to half a turn.
-    fn warm(&mut self, rotation_rad: f64) {
+    fn shift_and_dim(&mut self, rotation_rad: f64) {
         let Troubles {
             core_drift_px,
             twist_px,

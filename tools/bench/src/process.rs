@@ -28,7 +28,7 @@ use crate::link::CameraLink;
 use crate::qemu::{Figures, Machine, find_image};
 use crate::specimen::Specimen;
 use crate::truth::{FormTruth, MeshTruth, Truth};
-use crate::world::{Form, Mount, Saw, Wear, World, WorldConfig};
+use crate::world::{Form, MAX_SHIFT_PX, Mount, Saw, Wear, World, WorldConfig};
 
 /// Height of the retract switch above the die.
 const SWITCH_CLEARANCE_MM: f64 = 14.0;
@@ -296,6 +296,11 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         Overflow::Drop
     };
     let file = &asked.setup.file;
+    let together_px = file.head.core_drift_px.abs() + file.head.twist_px.abs();
+    ensure!(
+        together_px <= MAX_SHIFT_PX,
+        "[head] core_drift_px and twist_px move the cores' image by up to {together_px} px; together {MAX_SHIFT_PX} px are possible"
+    );
     let troubles = Troubles {
         fault: file.camera.frame_fault.as_ref().map(|fault| fault.value),
         core_drift_px: file.head.core_drift_px,

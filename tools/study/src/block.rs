@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 
 use super::calibration::Rig;
 use super::capture::{Instrument, Trouble, judged};
-use super::cases::{Case, Damaged, Group, Right};
+use super::cases::{Case, Damaged, Depth, Group, Right};
 use super::setup::{Place, Setup, flank, own_seed};
 use super::tally::{Found, Sample, budget_um};
 use super::truth;
 use flankscope_bench::damage::{Damage, Random, Workpiece};
-use flankscope_bench::world::{FlankId, Wear, WearKind, World};
+use flankscope_bench::world::{FlankId, Wear, World};
 
 /// Thermal expansion of steel.
 const EXPANSION_PER_K: f64 = 11.5e-6;
@@ -203,25 +203,20 @@ impl Block<'_> {
         let sides = [CadFlank::Left, CadFlank::Right];
         let (rectangle, disc_mm2) = truth::judged(tool)?;
         let tooth = self.place.tooth;
-        let drawn_um = |deepest_um: f64, side: u64| {
-            deepest_um * Random::new(2 * draw + side, DEPTHS).uniform()
+        let depth_um = |depth: Depth, side: u64| match depth {
+            Depth::Fixed(um) => um,
+            Depth::DrawnTo(um) => um * Random::new(2 * draw + side, DEPTHS).uniform(),
         };
-        let damage = match case.damage {
-            Damaged::UniformTo(deepest_um) => {
-                Damaged::Wear(WearKind::Uniform, drawn_um(deepest_um, 0))
-            }
-            damage => damage,
-        };
-        let damages = match damage {
+        let damages = match case.damage {
             Damaged::Nothing => {
                 world.stand(None)?;
                 return Ok([0.0; 2]);
             }
-            Damaged::Wear(kind, um) => {
+            Damaged::Wear(kind, depth) => {
                 let wear = [Wear {
                     tooth,
                     flank: CadFlank::Left,
-                    depth_mm: 1e-3 * um,
+                    depth_mm: 1e-3 * depth_um(depth, 0),
                     kind,
                 }];
                 world.stand(None)?;
@@ -235,11 +230,8 @@ impl Block<'_> {
             Damaged::Spot { area_mm2, depth_um } => {
                 [0, 1].map(|side| Damage::spot(2 * draw + side, rectangle, area_mm2, depth_um))
             }
-            Damaged::UniformTo(um) | Damaged::Random(um) => {
-                [0, 1].map(|side| Damage::draw(2 * draw + side, rectangle, disc_mm2, um))
-            }
-            Damaged::RandomTo(deepest_um) => [0, 1].map(|side| {
-                let um = drawn_um(deepest_um, side);
+            Damaged::Random(depth) => [0, 1].map(|side| {
+                let um = depth_um(depth, side);
                 Damage::draw(2 * draw + side, rectangle, disc_mm2, um)
             }),
         };
@@ -260,7 +252,7 @@ impl Block<'_> {
             [_, inspect.film_um] = case.film_um;
         }
         if case.by_class {
-            tool.as_built_um = self.setup.class_um();
+            tool.as_built_um = Some(self.setup.class_um());
         }
         if case.warm.is_some_and(|(_, known)| known) {
             tool.temperature = Some(Temperature {

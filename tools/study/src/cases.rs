@@ -6,13 +6,22 @@ use flankscope_profilometry::decode::GridKind;
 use super::capture::Trouble;
 use flankscope_bench::world::WearKind;
 
+/// Depth of a damage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Depth {
+    /// This, µm.
+    Fixed(f64),
+    /// Drawn anew for every capture: uniformly, from 0 to this, µm.
+    DrawnTo(f64),
+}
+
 /// Damage of the die.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Damaged {
     /// None.
     Nothing,
-    /// A built-in kind on the left flank (some kinds affect other flanks, too), and its largest depth in µm.
-    Wear(WearKind, f64),
+    /// A built-in kind on the left flank (some kinds affect other flanks, too), and its largest depth.
+    Wear(WearKind, Depth),
     /// A round hole with a flat bottom on both flanks, somewhere in the zone.
     Spot {
         /// Its area, mm².
@@ -20,12 +29,8 @@ pub enum Damaged {
         /// Its depth, µm.
         depth_um: f64,
     },
-    /// A random shape on both flanks, with this largest mean loss over a disc, µm.
-    Random(f64),
-    /// Uniform wear of the left flank, by a depth that is drawn anew for every capture: uniformly, from 0 to this, µm.
-    UniformTo(f64),
-    /// A random shape on both flanks, each by a depth that is drawn like that.
-    RandomTo(f64),
+    /// A random shape on both flanks, with this largest mean loss over a disc.
+    Random(Depth),
 }
 
 /// Use of the right flank's result.
@@ -102,14 +107,12 @@ pub fn cases() -> Vec<Case> {
         name: name.into(),
         group,
         right: match damage {
-            Damaged::Nothing | Damaged::Spot { .. } | Damaged::Random(_) | Damaged::RandomTo(_) => {
-                Right::Same
-            }
+            Damaged::Nothing | Damaged::Spot { .. } | Damaged::Random(_) => Right::Same,
             Damaged::Wear(WearKind::Ring, _) => Right::Same,
-            Damaged::Wear(WearKind::Side, um) => Right::Row(format!(
+            Damaged::Wear(WearKind::Side, Depth::Fixed(um)) => Right::Row(format!(
                 "{name}: the sound right flank ({um} µm on the left)"
             )),
-            Damaged::Wear(..) | Damaged::UniformTo(_) => Right::Ignored,
+            Damaged::Wear(..) => Right::Ignored,
         },
         damage,
         datum: Datum::Neighbours,
@@ -123,7 +126,9 @@ pub fn cases() -> Vec<Case> {
     };
     let mut cases = Vec::new();
     let mut add = |group, name: &str, damage| cases.push(case(group, name, damage));
-    let even = |um| Damaged::Wear(WearKind::Uniform, um);
+    let wear = |kind, um| Damaged::Wear(kind, Depth::Fixed(um));
+    let even = |um| wear(WearKind::Uniform, um);
+    let random = |um| Damaged::Random(Depth::Fixed(um));
     let spot = |area_mm2, depth_um| Damaged::Spot { area_mm2, depth_um };
     add(Group::Drawn, "drawn, undamaged", Damaged::Nothing);
     add(Group::Drawn, "drawn, uniform 20 µm", even(20.0));
@@ -134,18 +139,18 @@ pub fn cases() -> Vec<Case> {
         add("undamaged", Damaged::Nothing);
         add("uniform 20 µm", even(20.0));
         add("uniform 50 µm", even(50.0));
-        add("random 20 µm", Damaged::Random(20.0));
-        add("random 50 µm", Damaged::Random(50.0));
+        add("random 20 µm", random(20.0));
+        add("random 50 µm", random(50.0));
         add("spot of 0.25 mm², 40 µm", spot(0.25, 40.0));
         add("spot of 0.25 mm², 60 µm", spot(0.25, 60.0));
-        let one_side = |um| Damaged::Wear(WearKind::Side, um);
+        let one_side = |um| wear(WearKind::Side, um);
         add("one side of all teeth, 35 µm", one_side(35.0));
         add("one side of all teeth, 55 µm", one_side(55.0));
-        add("whole ring, 55 µm", Damaged::Wear(WearKind::Ring, 55.0));
+        add("whole ring, 55 µm", wear(WearKind::Ring, 55.0));
         if group == Group::Built {
             add("uniform 80 µm", even(80.0));
-            add("random 80 µm", Damaged::Random(80.0));
-            add("tip 80 µm", Damaged::Wear(WearKind::Tip, 80.0));
+            add("random 80 µm", random(80.0));
+            add("tip 80 µm", wear(WearKind::Tip, 80.0));
             add("spot of 0.05 mm², 150 µm", spot(0.05, 150.0));
         }
     }
@@ -163,9 +168,10 @@ pub fn cases() -> Vec<Case> {
             )
         });
     }
+    let drawn = Depth::DrawnTo(DEEPEST_UM);
     for (what, damage) in [
-        ("uniform", Damaged::UniformTo(DEEPEST_UM)),
-        ("random", Damaged::RandomTo(DEEPEST_UM)),
+        ("uniform", Damaged::Wear(WearKind::Uniform, drawn)),
+        ("random", Damaged::Random(drawn)),
     ] {
         cases.push(Case {
             times: 4,

@@ -3,6 +3,7 @@
 use std::fmt::{Error, Write as _};
 
 use super::cases::DEEPEST_UM;
+use super::chart::sheet;
 use super::tally::{Share, percent, upper_bound};
 use super::{Cell, Group, Sample};
 
@@ -57,16 +58,18 @@ fn drawn(cells: &[Cell]) -> impl Iterator<Item = &Cell> {
 }
 
 /// The section of the page; empty where no depth was drawn.
-pub(super) fn section(cells: &[Cell]) -> Result<String, Error> {
+pub(super) fn section(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error> {
     let mut text = String::new();
     if drawn(cells).all(|cell| cell.samples.is_empty()) {
         return Ok(text);
     }
-    text.push_str(
-        "## What a flank gets, by its true depth\n\nDepths drawn uniformly from 0 to 120 µm for every capture, of dies as built, \
-         against CAD. Warn 30 µm, stop 50 µm. The black line is the upper bound of the rate of go (one-sided 95 %, Clopper and Pearson, \
-         of blocks).\n\n![operating characteristic](characteristic.svg)\n\n",
-    );
+    let [warn_um, limit_um] = limits_um;
+    writeln!(
+        text,
+        "## What a flank gets, by its true depth\n\nDepths drawn uniformly from 0 to {DEEPEST_UM} µm for every capture, of dies as built, \
+         against CAD. Warn {warn_um} µm, stop {limit_um} µm. The black line is the upper bound of the rate of go (one-sided 95 %, Clopper \
+         and Pearson, of blocks).\n\n![operating characteristic](characteristic.svg)\n"
+    )?;
     for cell in drawn(cells) {
         writeln!(
             text,
@@ -102,10 +105,7 @@ pub(super) fn draw(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error>
     let [width, height] = SIZE;
     let x = |um: f64| LEFT + (width - 2.0 * LEFT) * um / DEEPEST_UM;
     let y = |share: f64| height - BOTTOM - (height - BOTTOM - TOP) * share;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"system-ui, sans-serif\" font-size=\"12\">\
-         <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>"
-    );
+    let mut svg = sheet(SIZE);
     for percent in [0, 25, 50, 75, 100] {
         write!(
             svg,
@@ -202,7 +202,7 @@ mod tests {
             });
         }
         let cells = [cell];
-        let text = section(&cells).expect("text");
+        let text = section(&cells, [30.0, 50.0]).expect("text");
         // One block of two: 1 - sqrt(0.05).
         assert!(
             text.contains("| 110 to 120 | 3 | 2 | 2 | 0 | 1 | 0 | 97.5 % |"),
@@ -233,6 +233,6 @@ mod tests {
             (first - full).abs() < 0.1 && (last - 2.0 / 3.0 * full).abs() < 0.1,
             "{first} {last}"
         );
-        assert!(section(&[]).expect("text").is_empty());
+        assert!(section(&[], [30.0, 50.0]).expect("text").is_empty());
     }
 }

@@ -2,6 +2,14 @@
 
 use std::fmt::{Error, Write as _};
 
+/// The beginning of a drawing of this size, px; the caller appends `</svg>`.
+pub(super) fn sheet([width, height]: [f64; 2]) -> String {
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"system-ui, sans-serif\" font-size=\"12\">\
+         <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>"
+    )
+}
+
 /// Size and the left and lower margins, px of the drawing.
 pub(super) struct Frame {
     pub size: [f64; 2],
@@ -19,11 +27,8 @@ impl Frame {
 
     /// The beginning of the drawing and five lines with their values, rounded to `decimals`; the caller appends `</svg>`.
     pub fn begin(&self, decimals: usize) -> Result<String, Error> {
-        let ([width, height], left) = (self.size, self.margin[0]);
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"system-ui, sans-serif\" font-size=\"12\">\
-             <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>"
-        );
+        let ([width, _], left) = (self.size, self.margin[0]);
+        let mut svg = sheet(self.size);
         for part in [-1.0, -0.5, 0.0, 0.5, 1.0] {
             let um = part * self.reach_um;
             write!(

@@ -36,7 +36,7 @@ use std::path::PathBuf;
 use block::Measured;
 pub use block::{BlockReport, PointSigma};
 pub use campaign::{Judgement, random_damages};
-pub use cases::{Case, Damaged, Group, Right, cases};
+pub use cases::{Case, Damaged, Depth, Group, Right, cases};
 pub use families::{Draw, Family, draws};
 use flankscope_bench::config::SurfaceKind;
 use flankscope_bench::files::MadeHead;

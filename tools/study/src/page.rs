@@ -140,7 +140,10 @@ impl Page<'_> {
         self.head(&mut text)?;
         self.uncertainty(&mut text)?;
         self.rates(&mut text)?;
-        text.push_str(&characteristic::section(&self.outcome.cells)?);
+        text.push_str(&characteristic::section(
+            &self.outcome.cells,
+            [WARN_UM, LIMIT_UM],
+        )?);
         self.hidden(&mut text)?;
         self.depths(&mut text)?;
         self.rest(&mut text)?;

@@ -31,7 +31,7 @@ pub(super) struct Setup {
     /// World of the die and the head.
     die: WorldConfig,
     /// What the tool makes of the tolerance class of its drawing, µm.
-    class_um: Option<f64>,
+    class_um: f64,
     /// Name of the pattern set.
     patterns: String,
     /// Design of the head; each head has its own cores and lenses in addition.
@@ -63,13 +63,13 @@ impl Setup {
         // The bench makes the die from the facets of its CAD, so there is no chord error.
         tool.cad.chord_error_um = 0.0;
         let head = HeadModel::load(&folder.path().join("head.toml"))?;
-        let file = folder.path().join("tool.toml");
-        let said = std::fs::read_to_string(&file)?;
-        let inspect = format!("[inspect]\nas_built_class = {CLASS}\n");
-        std::fs::write(&file, said.replace("[inspect]\n", &inspect))?;
-        let class_um = Tool::load(folder.path())?.as_built_um;
-        std::fs::write(&file, said)?;
         let die = Specimen::tool(folder.path(), None)?.config;
+        let file = folder.path().join("tool.toml");
+        let inspect = format!("[inspect]\nas_built_class = {CLASS}\n");
+        let by_class = std::fs::read_to_string(&file)?.replace("[inspect]\n", &inspect);
+        std::fs::write(&file, by_class)?;
+        let class_um = Tool::load(folder.path())?.as_built_um;
+        let class_um = class_um.context("the demo tool does not take a tolerance class")?;
         let patterns = head
             .pattern_set
             .clone()
@@ -105,7 +105,7 @@ impl Setup {
     }
 
     /// Form as built by the tolerance class alone, as the tool file's `as_built_class` has it, µm.
-    pub fn class_um(&self) -> Option<f64> {
+    pub fn class_um(&self) -> f64 {
         self.class_um
     }
 

@@ -88,16 +88,21 @@ impl Line {
 
     /// Prediction error of a point, in units of the values' scatter; `None` while the line is undetermined there.
     fn error(&self, point: &Point) -> Option<f64> {
-        let away = point.cycles - self.mean_cycles;
-        if self.spread > 0.0 {
-            let inflation = 1.0 + 1.0 / self.count + away * away / self.spread;
-            Some((point.wear_um - self.at(point)) / inflation.sqrt())
-        } else if self.count > 0.0 && away == 0.0 {
-            // Checks at the same cycle determine a mean only.
-            Some((point.wear_um - self.mean_um) / (1.0 + 1.0 / self.count).sqrt())
+        // Checks at the same cycle determine a mean only, and only there.
+        let is_mean = self.count > 0.0 && point.cycles == self.mean_cycles;
+        let inflation = 1.0 + self.variance(point.cycles);
+        (self.spread > 0.0 || is_mean).then(|| (point.wear_um - self.at(point)) / inflation.sqrt())
+    }
+
+    /// Variance of the line at these cycles, in units of the values' scatter; of their mean if they determine no slope.
+    fn variance(&self, cycles: f64) -> f64 {
+        let away = cycles - self.mean_cycles;
+        let of_slope = if self.spread > 0.0 {
+            away * away / self.spread
         } else {
-            None
-        }
+            0.0
+        };
+        1.0 / self.count.max(1.0) + of_slope
     }
 }
 
@@ -149,14 +154,8 @@ fn shift(earlier: &[Point], later: &[Point]) -> (f64, f64) {
     }
     let count = later.len().max(1) as f64;
     let off = later.iter().map(|point| point.wear_um - line.at(point));
-    let away = later.iter().map(|point| point.cycles - line.mean_cycles);
-    let away = away.sum::<f64>() / count;
-    let of_slope = if line.spread > 0.0 {
-        away * away / line.spread
-    } else {
-        0.0
-    };
-    let variance = 1.0 / count + 1.0 / line.count.max(1.0) + of_slope;
+    let middle = later.iter().map(|point| point.cycles).sum::<f64>() / count;
+    let variance = 1.0 / count + line.variance(middle);
     ((off.sum::<f64>() / count).abs(), variance.sqrt())
 }
 

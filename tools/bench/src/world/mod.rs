@@ -152,6 +152,9 @@ impl WorldConfig {
     }
 }
 
+/// Farthest shift of the cores' image either way.
+pub const MAX_SHIFT_PX: f64 = 10.0;
+
 /// Largest number of reflections that may be configured.
 pub const MAX_BOUNCES: u32 = 16;
 
@@ -322,9 +325,9 @@ impl World {
     /// prepared before show the previous state.
     ///
     /// # Errors
-    /// The shift is more than ten pixels.
+    /// The shift is more than [`MAX_SHIFT_PX`].
     pub fn shift_cores(&mut self, shift_px: f64) -> Result<(), WorldError> {
-        WorldError::check("shift_px", shift_px, -10.0, 10.0)?;
+        WorldError::check("shift_px", shift_px, -MAX_SHIFT_PX, MAX_SHIFT_PX)?;
         self.sensor.shift(&self.camera_bundle, shift_px);
         Ok(())
     }
