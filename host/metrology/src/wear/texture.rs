@@ -1,12 +1,14 @@
 //! Texture of openings narrower than a cell: their floors are hidden, and single points do not show it.
 //!
 //! The points of one cell scatter by their noise and the surface's roughness, or there is structure below the cell. Windows of a disc's
-//! size are looked at: all of one may be rough, or a part of it be rougher.
+//! size are looked at: all of one may be rough, or a part of it be rougher. What a flank is finished like shows all over it: a window
+//! that scatters much more than most of its flank is textured, unless few straight scratches explain it (`scratches.rs`).
 
-use flankscope_foundation::order::quantile;
+use flankscope_foundation::order::{median_of, quantile};
 
 use super::disc::Discs;
 use super::field::WearSample;
+use super::scratches;
 use super::unseen::Unseen;
 
 /// Scatter within a cell that counts as roughness, mm: a surface of Ra 3.2 um (grade N8 of ISO 1302) has an Rq of 4 um, of which a core's
@@ -21,8 +23,12 @@ const LEAST_CELLS: usize = 8;
 const SMOOTH_RATIO: f64 = 0.25;
 /// Standard normal quantile of [`SMOOTH_RATIO`].
 const SMOOTH_DEVIATE: f64 = -0.674_490;
-/// It is, too, when its points scatter more than that on average, mm: texture that fills a part of a disc only. Hairlines that are seen
-/// to their floor scatter in the few cells in which they begin and end.
+/// It is, too, when its points scatter so many times as much as those of the flank's middle window do: texture in a patch. Windows of
+/// a flank that is evenly rough reach 1.9 times, on the bench, and pits a fifth of whose area is open 2.5 times.
+const PATCH_RATIO: f64 = 2.4;
+/// At least by that, mm: a sound flank may have an Rq of 3 um, be it in places.
+const LEAST_PATCH_MM: f64 = 3e-3;
+/// And at most, mm, however rough the flank: most of it may be textured.
 const PARTLY_ROUGH_MM: f64 = 4.2e-3;
 /// Cells of a window for each that a single straight edge crosses (at most nine of 25): an edge is no texture, so that no cell counts for
 /// more than that many times the limit in the average.
@@ -31,6 +37,7 @@ const CELLS_PER_EDGE_CELL: f64 = 25.0 / 9.0;
 /// came back from: one point in thirty may be wrong.
 const LAND_RATIO: f64 = 0.1;
 const DEEPEST_RATIO: f64 = 0.97;
+
 /// Scatter of a cell's points about their plane.
 #[derive(Clone, Copy)]
 struct Scatter {
@@ -56,21 +63,78 @@ impl Scatter {
     }
 }
 
-/// Whether the cells of a window scatter more than noise and a rough surface do, in all of it or in a part.
-fn is_textured(cells: Vec<Scatter>) -> bool {
-    if cells.len() < LEAST_CELLS {
-        return false;
+/// The cells of a window that have an estimate.
+struct Window {
+    cells: Vec<Scatter>,
+    /// Three standard deviations of the noise's own variance, mm2.
+    by_chance_mm2: f64,
+}
+
+impl Window {
+    /// None with too few cells.
+    fn of(cells: Vec<Scatter>) -> Option<Self> {
+        let freedom: f64 = cells.iter().map(|of| of.freedom).sum();
+        let noise_mm2 = cells.iter().map(|of| of.noise_mm2).sum::<f64>() / cells.len() as f64;
+        (cells.len() >= LEAST_CELLS).then(|| Self {
+            by_chance_mm2: 3.0 * noise_mm2 * (2.0 / freedom).sqrt(),
+            cells,
+        })
     }
-    let freedom: f64 = cells.iter().map(|of| of.freedom).sum();
-    let mean =
-        |of: &dyn Fn(&Scatter) -> f64| cells.iter().map(of).sum::<f64>() / cells.len() as f64;
-    // Three standard deviations of the noise's own variance.
-    let by_chance_mm2 = 3.0 * mean(&|of| of.noise_mm2) * (2.0 / freedom).sqrt();
-    let exceeds = |mm2: f64, limit_mm: f64| mm2 > limit_mm * limit_mm + by_chance_mm2;
-    let most_mm2 = CELLS_PER_EDGE_CELL * PARTLY_ROUGH_MM * PARTLY_ROUGH_MM;
-    let mut all: Vec<f64> = cells.iter().map(Scatter::excess_as_quantile_mm2).collect();
-    exceeds(mean(&|of| of.excess_mm2().min(most_mm2)), PARTLY_ROUGH_MM)
-        || quantile(&mut all, SMOOTH_RATIO).is_some_and(|mm2| exceeds(mm2, ROUGHNESS_MM))
+
+    /// Mean of the cells' variances beyond noise, of which none counts for more than an edge's of a window that keeps to a limit, mm2.
+    fn mean_mm2(&self, limit_mm: f64) -> f64 {
+        let most_mm2 = CELLS_PER_EDGE_CELL * limit_mm * limit_mm;
+        let all = self.cells.iter().map(|of| of.excess_mm2().min(most_mm2));
+        all.sum::<f64>() / self.cells.len() as f64
+    }
+
+    /// Whether a variance is beyond a limit by more than chance.
+    fn exceeds(&self, mm2: f64, limit_mm: f64) -> bool {
+        mm2 > limit_mm * limit_mm + self.by_chance_mm2
+    }
+
+    /// The scatter beyond which this window is textured, mm, if it is beyond it: all of it but for what a single scratch leaves alone,
+    /// or its mean.
+    fn limit_exceeded_mm(&self, patch_limit_mm: f64) -> Option<f64> {
+        if self.exceeds(self.mean_mm2(patch_limit_mm), patch_limit_mm) {
+            return Some(patch_limit_mm);
+        }
+        let all = self.cells.iter().map(Scatter::excess_as_quantile_mm2);
+        let lower_mm2 = quantile(&mut all.collect::<Vec<_>>(), SMOOTH_RATIO)?;
+        self.exceeds(lower_mm2, ROUGHNESS_MM)
+            .then_some(ROUGHNESS_MM)
+    }
+
+    /// Whether its points scatter beyond its limit, beside all scratches that may be in it, too.
+    fn is_textured<'a>(
+        &self,
+        patch_limit_mm: f64,
+        points: impl Iterator<Item = &'a WearSample>,
+    ) -> bool {
+        let Some(limit_mm) = self.limit_exceeded_mm(patch_limit_mm) else {
+            return false;
+        };
+        let points: Vec<&WearSample> = points.collect();
+        scratches::scatter_beside_mm2(&points).is_none_or(|variance_mm2| {
+            self.exceeds(variance_mm2 - mean_noise_mm2(&points), limit_mm)
+        })
+    }
+}
+
+/// Scatter from which a window of this flank is a patch of texture, mm.
+fn patch_limit_mm(windows: &[Option<Window>]) -> f64 {
+    let scatter = |of: &Window| of.mean_mm2(PARTLY_ROUGH_MM).max(0.0).sqrt();
+    let scatters = windows.iter().flatten().map(scatter);
+    let typical_mm = median_of(scatters).unwrap_or(PARTLY_ROUGH_MM);
+    (PATCH_RATIO * typical_mm).clamp(LEAST_PATCH_MM, PARTLY_ROUGH_MM)
+}
+
+/// Mean variance of points' noise, mm2; nought where it is not stated.
+fn mean_noise_mm2(points: &[&WearSample]) -> f64 {
+    let count: f64 = points.iter().map(|p| p.merged).sum();
+    let noise = points.iter().map(|p| p.variance_mm2 * p.merged);
+    let mean_mm2 = noise.sum::<f64>() / count;
+    if mean_mm2.is_finite() { mean_mm2 } else { 0.0 }
 }
 
 /// Scatter of a cell's points; none of a cell with too few.
@@ -80,18 +144,11 @@ fn scatter(points: &[&WearSample]) -> Option<Scatter> {
     if points.len() < 4 || freedom < 2.0 {
         return None;
     }
-    let of_noise = points.iter().map(|p| p.variance_mm2 * p.merged);
-    let noise_mm2 = of_noise.sum::<f64>() / count;
     let within_mm2: f64 = points.iter().map(|p| p.within_mm2).sum();
     let squares = squares_about_plane(points)? + within_mm2;
-    let noise_mm2 = if noise_mm2.is_finite() {
-        noise_mm2
-    } else {
-        0.0
-    };
     Some(Scatter {
         variance_mm2: squares / freedom,
-        noise_mm2,
+        noise_mm2: mean_noise_mm2(points),
         freedom,
     })
 }
@@ -121,16 +178,25 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     let count = field.wear_mm.len();
     let of_cell = |cell| scatter(&discs.of_cell(cell).collect::<Vec<_>>());
     let scatters: Vec<Option<Scatter>> = (0..count).map(of_cell).collect();
-    (0..count)
-        .map(|cell| {
-            let cells: Vec<usize> = field.window(cell, WINDOW).collect();
-            if is_textured(cells.iter().filter_map(|&c| scatters[c]).collect()) {
-                opening(discs, &cells, slant)
-            } else {
-                Unseen::default()
-            }
-        })
-        .collect()
+    let window = |cell| {
+        let known = field.window(cell, WINDOW).filter_map(|c| scatters[c]);
+        Window::of(known.collect())
+    };
+    let windows: Vec<Option<Window>> = (0..count).map(window).collect();
+    let limit_mm = patch_limit_mm(&windows);
+    let of_window = |(middle, window): (usize, &Option<Window>)| {
+        let cells: Vec<usize> = field.window(middle, WINDOW).collect();
+        let points = cells.iter().flat_map(|&cell| discs.of_cell(cell));
+        let is_textured = window.as_ref()?.is_textured(limit_mm, points);
+        is_textured.then(|| opening(discs, &cells, slant))
+    };
+    let textured: Vec<Option<Unseen>> = windows.iter().enumerate().map(of_window).collect();
+    // What a window hides lies somewhere in it, and less likely at its rim.
+    let of_cell = |cell| {
+        let windows = field.window(cell, WINDOW / 2).filter_map(|w| textured[w]);
+        windows.fold(Unseen::default(), Unseen::or)
+    };
+    (0..count).map(of_cell).collect()
 }
 
 /// What textured cells hide: openings as deep at their deepest seen point as light reaches into them.

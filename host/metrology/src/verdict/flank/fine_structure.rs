@@ -227,6 +227,27 @@ fn textures_that_fill_no_disc() {
     assert_beyond_is_never_passed("islands of pits", &islands);
 }
 
+/// Pits with sound material between them, in patches that are narrower than a disc: the deeper they are, the fewer need be there.
+#[test]
+fn pits_apart() {
+    let found = verdicts(|draw, _| {
+        let width = draw(0.06, 0.11);
+        let (pitch, depth) = (width * draw(1.2, 2.2), width * draw(3.0, 5.0));
+        let size = [draw(0.33, 1.2), draw(0.33, 1.2)];
+        let at = [0, 1].map(|k| draw(0.0, SIZE_MM[k] - size[k]));
+        Box::new(move |p: [f64; 2]| {
+            let inside = (0..2).all(|k| (at[k]..at[k] + size[k]).contains(&p[k]));
+            let [x, y] = p.map(|v| v.rem_euclid(pitch) - 0.5 * pitch);
+            if inside && x.hypot(y) < 0.5 * width {
+                depth
+            } else {
+                0.0
+            }
+        })
+    });
+    assert_beyond_is_never_passed("pits apart", &found);
+}
+
 #[test]
 fn single_cracks() {
     let found = verdicts(|draw, _| {
