@@ -236,6 +236,43 @@ fn the_tool_file_of_the_page_is_one() {
 }
 
 /// `**Cleanup.**` among the guarantees has a row `| Cleanup | ..` whose files and tests are there.
+/// Sum of the "N of M flanks" in the row of a table that begins so.
+fn flanks_of_row(page: &str, begins: &str) -> [u32; 2] {
+    let mut rows = page.lines().filter(|line| line.starts_with(begins));
+    let row = rows.next().unwrap_or_else(|| panic!("no row: {begins}"));
+    let counts = row.split('|').filter_map(|cell| {
+        let (hits, rest) = cell.trim().split_once(" of ")?;
+        let (all, _) = rest.split_once(" flanks")?;
+        Some([hits, all].map(|n| n.parse::<u32>().expect("a count")))
+    });
+    counts.fold([0; 2], |sum, cell| [sum[0] + cell[0], sum[1] + cell[1]])
+}
+
+/// Against CAD and since a baseline together.
+#[test]
+fn the_study_in_short_states_the_counts_of_the_study() {
+    let (short, study) = (read("docs/study/summary.md"), read("docs/study/README.md"));
+    for (of_short, of_study) in [
+        (
+            "go at or beyond the stop limit",
+            "go at or beyond the stop limit",
+        ),
+        (
+            "go or warn at 3 µm or more beyond the stop limit",
+            "go or warn beyond the stop limit by 3 µm or more",
+        ),
+        ("go beyond the warning limit", "go beyond the warning limit"),
+        (
+            "false alarm on an undamaged flank",
+            "false alarm: warn or no-go of a flank without damage",
+        ),
+    ] {
+        let [short, study] = [(&short, of_short), (&study, of_study)]
+            .map(|(page, row)| flanks_of_row(page, &format!("| {row} |")));
+        assert_eq!(short, study, "{of_short}");
+    }
+}
+
 #[test]
 fn every_guarantee_names_tests_that_exist() {
     let text = read("SECURITY.md");

@@ -114,6 +114,25 @@ fn texture_below_a_cell_is_never_passed() {
     }
 }
 
+/// In a patch narrower than a disc, with as much sound material between them as pits: seen from above a fifth of it is missing, and the
+/// points scatter little more than those of a rough flank.
+#[test]
+fn pits_apart_are_never_passed() {
+    let cases: [(f64, f64, f64, [f64; 2]); 2] = [
+        (0.106, 0.222, 0.4, [0.66, 0.34]),
+        (0.065, 0.14, 0.35, [1.4, 0.7]),
+    ];
+    for &(width_mm, pitch_mm, depth_mm, size_mm) in at_least(1, &cases) {
+        let loss_mm = move |[x, y]: [f64; 2]| {
+            let (x, y) = (x - CUT_MM[0], y - 4.0);
+            let in_patch = (0.0..size_mm[0]).contains(&x) && (0.0..size_mm[1]).contains(&y);
+            let is_pit = [x, y].iter().all(|v| v.rem_euclid(pitch_mm) < width_mm);
+            if in_patch && is_pit { depth_mm } else { 0.0 }
+        };
+        assert_not_passed(&worn([6e-3, 6e-3], loss_mm, &[]), 50.0);
+    }
+}
+
 #[test]
 fn texture_that_came_since_a_baseline_is_never_passed() {
     let folder = tempfile::tempdir().unwrap();
