@@ -5,6 +5,7 @@
 //! that scatters much more than most of its flank is textured, unless few straight scratches explain it (`scratches.rs`).
 
 use flankscope_foundation::order::{median_of, quantile};
+use rayon::prelude::*;
 
 use super::disc::Discs;
 use super::field::WearSample;
@@ -33,6 +34,8 @@ const PARTLY_ROUGH_MM: f64 = 4.2e-3;
 /// Cells of a window for each that a single straight edge crosses (at most nine of 25): an edge is no texture, so that no cell counts for
 /// more than that many times the limit in the average.
 const CELLS_PER_EDGE_CELL: f64 = 25.0 / 9.0;
+/// Where more than that part of a flank's windows scatter too much it is no matter of few scratches.
+const MOST_SCRATCHED: f64 = 1.0 / 3.0;
 /// Quantiles of the depths in a window that stand for the unworn surface between the openings, and for the deepest that light
 /// came back from: one point in thirty may be wrong.
 const LAND_RATIO: f64 = 0.1;
@@ -105,18 +108,10 @@ impl Window {
             .then_some(ROUGHNESS_MM)
     }
 
-    /// Whether its points scatter beyond its limit, beside all scratches that may be in it, too.
-    fn is_textured<'a>(
-        &self,
-        patch_limit_mm: f64,
-        points: impl Iterator<Item = &'a WearSample>,
-    ) -> bool {
-        let Some(limit_mm) = self.limit_exceeded_mm(patch_limit_mm) else {
-            return false;
-        };
-        let points: Vec<&WearSample> = points.collect();
-        scratches::scatter_beside_mm2(&points).is_none_or(|variance_mm2| {
-            self.exceeds(variance_mm2 - mean_noise_mm2(&points), limit_mm)
+    /// Whether its points scatter beyond a limit beside all scratches that may be in it, too.
+    fn scatters_beside_scratches(&self, points: &[&WearSample], limit_mm: f64) -> bool {
+        scratches::scatter_beside_mm2(points).is_none_or(|variance_mm2| {
+            self.exceeds(variance_mm2 - mean_noise_mm2(points), limit_mm)
         })
     }
 }
@@ -184,13 +179,21 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     };
     let windows: Vec<Option<Window>> = (0..count).map(window).collect();
     let limit_mm = patch_limit_mm(&windows);
-    let of_window = |(middle, window): (usize, &Option<Window>)| {
+    let exceeded = |window: &Option<Window>| window.as_ref()?.limit_exceeded_mm(limit_mm);
+    let exceeded_mm: Vec<Option<f64>> = windows.iter().map(exceeded).collect();
+    let suspected = exceeded_mm.iter().flatten().count() as f64;
+    let is_all_over = suspected > MOST_SCRATCHED * windows.iter().flatten().count() as f64;
+    let of_window = |middle: usize| {
+        let (window, limit_mm) = (windows[middle].as_ref()?, exceeded_mm[middle]?);
         let cells: Vec<usize> = field.window(middle, WINDOW).collect();
-        let points = cells.iter().flat_map(|&cell| discs.of_cell(cell));
-        let is_textured = window.as_ref()?.is_textured(limit_mm, points);
+        let points = || -> Vec<&WearSample> {
+            let all = cells.iter().flat_map(|&cell| discs.of_cell(cell));
+            all.collect()
+        };
+        let is_textured = is_all_over || window.scatters_beside_scratches(&points(), limit_mm);
         is_textured.then(|| opening(discs, &cells, slant))
     };
-    let textured: Vec<Option<Unseen>> = windows.iter().enumerate().map(of_window).collect();
+    let textured: Vec<Option<Unseen>> = (0..count).into_par_iter().map(of_window).collect();
     // What a window hides lies somewhere in it, and less likely at its rim.
     let of_cell = |cell| {
         let windows = field.window(cell, WINDOW / 2).filter_map(|w| textured[w]);
