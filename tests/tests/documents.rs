@@ -235,7 +235,6 @@ fn the_tool_file_of_the_page_is_one() {
     assert_eq!(tool.inspected(), [12, 40, 68]);
 }
 
-/// `**Cleanup.**` among the guarantees has a row `| Cleanup | ..` whose files and tests are there.
 /// Sum of the "N of M flanks" in the row of a table that begins so.
 fn flanks_of_row(page: &str, begins: &str) -> [u32; 2] {
     let mut rows = page.lines().filter(|line| line.starts_with(begins));
@@ -273,6 +272,7 @@ fn the_study_in_short_states_the_counts_of_the_study() {
     }
 }
 
+/// `**Cleanup.**` among the guarantees has a row `| Cleanup | ..` whose files and tests are there.
 #[test]
 fn every_guarantee_names_tests_that_exist() {
     let text = read("SECURITY.md");

@@ -114,8 +114,8 @@ fn texture_below_a_cell_is_never_passed() {
     }
 }
 
-/// In a patch narrower than a disc, with as much sound material between them as pits: seen from above a fifth of it is missing, and the
-/// points scatter little more than those of a rough flank.
+/// With sound material between them, in a patch: a fifth of its area is open, and its points scatter little more than those of a rough
+/// flank.
 #[test]
 fn pits_apart_are_never_passed() {
     let cases: [(f64, f64, f64, [f64; 2]); 2] = [

@@ -45,9 +45,8 @@ struct Across {
 impl Across {
     fn new(at_mm: &[[f64; 2]], direction: usize) -> Self {
         let angle = std::f64::consts::PI * direction as f64 / DIRECTIONS as f64;
-        let across = at_mm
-            .iter()
-            .map(|[x, y]| (x * angle.cos() + y * angle.sin()) / KNOT_MM);
+        let [cos, sin] = [angle.cos(), angle.sin()];
+        let across = at_mm.iter().map(|[x, y]| (x * cos + y * sin) / KNOT_MM);
         let mut places: Vec<f64> = across.collect();
         let least = places.iter().copied().fold(f64::INFINITY, f64::min);
         // Strips may begin before the first point.

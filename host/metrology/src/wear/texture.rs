@@ -185,13 +185,12 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     let is_all_over = suspected > MOST_SCRATCHED * windows.iter().flatten().count() as f64;
     let of_window = |middle: usize| {
         let (window, limit_mm) = (windows[middle].as_ref()?, exceeded_mm[middle]?);
-        let cells: Vec<usize> = field.window(middle, WINDOW).collect();
-        let points = || -> Vec<&WearSample> {
-            let all = cells.iter().flat_map(|&cell| discs.of_cell(cell));
-            all.collect()
-        };
-        let is_textured = is_all_over || window.scatters_beside_scratches(&points(), limit_mm);
-        is_textured.then(|| opening(discs, &cells, slant))
+        let points: Vec<&WearSample> = field
+            .window(middle, WINDOW)
+            .flat_map(|cell| discs.of_cell(cell))
+            .collect();
+        let is_textured = is_all_over || window.scatters_beside_scratches(&points, limit_mm);
+        is_textured.then(|| opening(&points, slant))
     };
     let textured: Vec<Option<Unseen>> = (0..count).into_par_iter().map(of_window).collect();
     // What a window hides lies somewhere in it, and less likely at its rim.
@@ -202,10 +201,9 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     (0..count).map(of_cell).collect()
 }
 
-/// What textured cells hide: openings as deep at their deepest seen point as light reaches into them.
-fn opening(discs: &Discs<'_>, cells: &[usize], slant: f64) -> Unseen {
-    let points = cells.iter().flat_map(|&c| discs.of_cell(c));
-    let mut wears: Vec<f64> = points.map(|p| p.wear_mm).collect();
+/// What a textured window of these points hides: openings as deep at their deepest seen point as light reaches into them.
+fn opening(points: &[&WearSample], slant: f64) -> Unseen {
+    let mut wears: Vec<f64> = points.iter().map(|p| p.wear_mm).collect();
     let mean_mm = wears.iter().sum::<f64>() / wears.len() as f64;
     let [land_mm, deepest_mm] =
         [LAND_RATIO, DEEPEST_RATIO].map(|ratio| quantile(&mut wears, ratio).unwrap_or(mean_mm));
