@@ -195,6 +195,27 @@ fn a_single_crack_is_never_passed() {
     assert_not_passed(&worn([0.05, 2.5e-3], at_rim, &[]), 30.0);
 }
 
+/// Its walls shade its floor, and some cores in it see light of both rims: their points lie too high on one side and too low on the
+/// other.
+#[test]
+fn a_groove_along_the_line_of_sight_is_never_passed() {
+    // Flat, V-shaped and round: depth by place across the width, from -1 to 1.
+    type Form = fn(f64) -> f64;
+    let cases: [(f64, Form, f64); 4] = [
+        (0.086, |_| 1.0, 4.31),
+        (0.088, |t| 1.0 - t.abs(), 2.07),
+        (0.1, |t| (1.0 - t * t).sqrt(), 5.52),
+        (0.095, |_| 1.0, 3.18),
+    ];
+    for &(width_mm, form, at_mm) in at_least(1, &cases) {
+        let loss_mm = |[_, y]: [f64; 2]| {
+            let t = (y - at_mm) / (0.5 * width_mm);
+            if t.abs() < 1.0 { 0.4 * form(t) } else { 0.0 }
+        };
+        assert_not_passed(&worn([0.05, 2.5e-3], loss_mm, &[]), 30.0);
+    }
+}
+
 #[test]
 fn hairlines_that_are_seen_to_their_floor_are_go() {
     let hairline = |off_mm: f64, width: f64, depth: f64| {

@@ -108,7 +108,7 @@ mod tests {
     fn two_views_together_hide_less_of_a_flank_with_hairlines_than_either() {
         let settings = WearSettings::default();
         for seed in 0..12 {
-            let surface = hairlines(8, [0.15, 0.3], [25e-3, 50e-3], 100 + seed);
+            let surface = hairlines(11, [0.15, 0.3], [25e-3, 50e-3], 100 + seed);
             let main = looked_at(&surface, SIZE_MM, GRAZING, seed);
             let steep = looked_at(&surface, SIZE_MM, STEEP, 50 + seed);
             let both = main.clone().with_further(&steep, &settings);

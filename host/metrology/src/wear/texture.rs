@@ -8,7 +8,7 @@ use flankscope_foundation::order::{median_of, quantile};
 use rayon::prelude::*;
 
 use super::disc::Discs;
-use super::field::WearSample;
+use super::field::{Field, WearSample};
 use super::scratches;
 use super::unseen::Unseen;
 
@@ -31,9 +31,11 @@ const PATCH_RATIO: f64 = 2.4;
 const LEAST_PATCH_MM: f64 = 3e-3;
 /// And at most, mm, however rough the flank: most of it may be textured.
 const PARTLY_ROUGH_MM: f64 = 4.2e-3;
-/// Cells of a window for each that a single straight edge crosses (at most nine of 25): an edge is no texture, so that no cell counts for
-/// more than that many times the limit in the average.
-const CELLS_PER_EDGE_CELL: f64 = 25.0 / 9.0;
+/// Scatter between the means of nine cells that is no step, mm: three standard deviations of a mean's noise on a smooth flank.
+const LEAST_STEP_MM: f64 = 3e-3;
+/// Most that a step of height h leaves of a cell's variance about the plane that fits best, in h squared: wherever the step lies, a
+/// share s(1 - s) less its slope's part 3 s²(1 - s)², of which this is the largest.
+const STEP_VARIANCE: f64 = 1.0 / 12.0;
 /// Where more than that part of a flank's windows scatter too much it is no matter of few scratches.
 const MOST_SCRATCHED: f64 = 1.0 / 3.0;
 /// Quantiles of the depths in a window that stand for the unworn surface between the openings, and for the deepest that light
@@ -48,6 +50,8 @@ struct Scatter {
     variance_mm2: f64,
     /// Variance of the points' noise, mm2.
     noise_mm2: f64,
+    /// Most of the variance that a step between the levels about the cell explains, mm2.
+    of_step_mm2: f64,
     /// Degrees of freedom.
     freedom: f64,
 }
@@ -84,11 +88,10 @@ impl Window {
         })
     }
 
-    /// Mean of the cells' variances beyond noise, of which none counts for more than an edge's of a window that keeps to a limit, mm2.
-    fn mean_mm2(&self, limit_mm: f64) -> f64 {
-        let most_mm2 = CELLS_PER_EDGE_CELL * limit_mm * limit_mm;
-        let all = self.cells.iter().map(|of| of.excess_mm2().min(most_mm2));
-        all.sum::<f64>() / self.cells.len() as f64
+    /// Mean of the cells' variances beyond noise and steps, mm2: an edge is no texture.
+    fn mean_mm2(&self) -> f64 {
+        let beside_steps = |of: &Scatter| of.excess_mm2() - of.of_step_mm2;
+        self.cells.iter().map(beside_steps).sum::<f64>() / self.cells.len() as f64
     }
 
     /// Whether a variance is beyond a limit by more than chance.
@@ -99,7 +102,7 @@ impl Window {
     /// The scatter beyond which this window is textured, mm, if it is beyond it: all of it but for what a single scratch leaves alone,
     /// or its mean.
     fn limit_exceeded_mm(&self, patch_limit_mm: f64) -> Option<f64> {
-        if self.exceeds(self.mean_mm2(patch_limit_mm), patch_limit_mm) {
+        if self.exceeds(self.mean_mm2(), patch_limit_mm) {
             return Some(patch_limit_mm);
         }
         let all = self.cells.iter().map(Scatter::excess_as_quantile_mm2);
@@ -118,7 +121,7 @@ impl Window {
 
 /// Scatter from which a window of this flank is a patch of texture, mm.
 fn patch_limit_mm(windows: &[Option<Window>]) -> f64 {
-    let scatter = |of: &Window| of.mean_mm2(PARTLY_ROUGH_MM).max(0.0).sqrt();
+    let scatter = |of: &Window| of.mean_mm2().max(0.0).sqrt();
     let scatters = windows.iter().flatten().map(scatter);
     let typical_mm = median_of(scatters).unwrap_or(PARTLY_ROUGH_MM);
     (PATCH_RATIO * typical_mm).clamp(LEAST_PATCH_MM, PARTLY_ROUGH_MM)
@@ -144,6 +147,7 @@ fn scatter(points: &[&WearSample]) -> Option<Scatter> {
     Some(Scatter {
         variance_mm2: squares / freedom,
         noise_mm2: mean_noise_mm2(points),
+        of_step_mm2: 0.0,
         freedom,
     })
 }
@@ -171,7 +175,13 @@ fn squares_about_plane(points: &[&WearSample]) -> Option<f64> {
 pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     let field = discs.field();
     let count = field.wear_mm.len();
-    let of_cell = |cell| scatter(&discs.of_cell(cell).collect::<Vec<_>>());
+    let of_cell = |cell| {
+        let scatter = scatter(&discs.of_cell(cell).collect::<Vec<_>>())?;
+        Some(Scatter {
+            of_step_mm2: STEP_VARIANCE * (range_mm(field, cell) - LEAST_STEP_MM).max(0.0).powi(2),
+            ..scatter
+        })
+    };
     let scatters: Vec<Option<Scatter>> = (0..count).map(of_cell).collect();
     let window = |cell| {
         let known = field.window(cell, WINDOW).filter_map(|c| scatters[c]);
@@ -199,6 +209,17 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
         windows.fold(Unseen::default(), Unseen::or)
     };
     (0..count).map(of_cell).collect()
+}
+
+/// Difference between the deepest and the highest of a cell and the eight about it, mm.
+fn range_mm(field: &Field, cell: usize) -> f64 {
+    let depths = field.window(cell, 1).map(|c| field.wear_mm[c]);
+    let [least, most] = depths
+        .filter(|mm| mm.is_finite())
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], mm| {
+            [least.min(mm), most.max(mm)]
+        });
+    most - least
 }
 
 /// What a textured window of these points hides: openings as deep at their deepest seen point as light reaches into them.
