@@ -31,6 +31,7 @@ const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 const LEAST_MINOR: u32 = 95;
 
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
+#[derive(Clone, Copy)]
 struct Board {
     folder: &'static str,
     /// Its other image.
@@ -40,6 +41,7 @@ struct Board {
 }
 
 /// An image with a feature, kept under a name of its own.
+#[derive(Clone, Copy)]
 struct Variant {
     feature: &'static str,
     name: &'static str,
@@ -73,6 +75,13 @@ const BOARDS: [Board; 3] = [
     },
 ];
 
+/// An image that was built.
+struct Built {
+    name: &'static str,
+    path: PathBuf,
+    flashed: bool,
+}
+
 struct Toolchain {
     cargo: PathBuf,
     rustc: PathBuf,
@@ -82,24 +91,26 @@ struct Toolchain {
     update: &'static str,
 }
 
-/// Builds every image and fails if one breaks a budget.
+/// Builds every image and fails if one breaks a budget. Boards are built side by side: an image is linked by one thread.
 pub fn build(root: &Path) -> Result<(), String> {
-    let toolchain = toolchain()?;
+    let toolchain = &toolchain()?;
+    let built: Vec<Result<Vec<Built>, String>> = std::thread::scope(|scope| {
+        let builds = BOARDS.map(|board| scope.spawn(move || board.build(root, toolchain)));
+        builds
+            .into_iter()
+            .map(|build| build.join().unwrap_or_else(|_| Err("panicked".into())))
+            .collect()
+    });
     let mut broken = Vec::new();
-    for board in &BOARDS {
-        if let Some(Variant {
-            feature,
+    for images in built {
+        for Built {
             name,
+            path,
             flashed,
-        }) = board.also
+        } in images?
         {
-            let path = compile(root, board, &toolchain, &["--features", feature])?;
-            let kept = path.with_file_name(name);
-            std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
-            broken.extend(judge(name, &kept, flashed)?);
+            broken.extend(judge(name, &path, flashed)?);
         }
-        let path = compile(root, board, &toolchain, &[])?;
-        broken.extend(judge(board.folder, &path, true)?);
     }
     if broken.is_empty() {
         Ok(())
@@ -240,6 +251,34 @@ fn toolchain() -> Result<Toolchain, String> {
          or, on Debian: apt-get update && apt-get install {PACKAGES}\n       ({})",
         wrong.join("; ")
     ))
+}
+
+impl Board {
+    /// Builds its images, its other one first.
+    fn build(&self, root: &Path, toolchain: &Toolchain) -> Result<Vec<Built>, String> {
+        let mut built = Vec::new();
+        if let Some(Variant {
+            feature,
+            name,
+            flashed,
+        }) = self.also
+        {
+            let path = compile(root, self, toolchain, &["--features", feature])?;
+            let kept = path.with_file_name(name);
+            std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+            built.push(Built {
+                name,
+                path: kept,
+                flashed,
+            });
+        }
+        built.push(Built {
+            name: self.folder,
+            path: compile(root, self, toolchain, &[])?,
+            flashed: true,
+        });
+        Ok(built)
+    }
 }
 
 impl Toolchain {
