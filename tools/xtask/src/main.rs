@@ -119,6 +119,9 @@ const INTERLEAVINGS: &[&str] = &[
     "interleavings",
 ];
 
+/// What the workspace is tested with.
+const FEATURES: &str = "flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua,flankscope-plant/parquet,flankscope-plant/tls";
+
 /// The workspaces with programs that are installed or flashed.
 const SHIPPED: [&str; 5] = [
     ".",
@@ -181,34 +184,21 @@ fn test(all: bool) -> Result<(), String> {
     }
 }
 
-/// Tests what a press gets, where there is no bench. Its dependencies are built once more, so nothing is optimised: only help and
-/// command lines are looked at. Code that only a bench uses would be a warning here, and is an error.
+/// Tests what a press gets, where there is no bench: its help and its command lines. With the other features, so that it shares
+/// what the tests have built.
 fn deployment() -> Result<(), String> {
-    let mut test = cargo(&[
-        "test",
-        "-p",
-        "flankscope",
-        "--no-default-features",
-        "--bins",
-        "--config",
-        "profile.dev.opt-level=0",
-    ]);
-    test.env("RUSTFLAGS", "-D warnings");
+    let program = ["--no-default-features", "--bin", "flankscope"];
+    let mut test = cargo(&[&["test", "--workspace"][..], &program].concat());
+    test.args(["--features", FEATURES]);
     run(test)
 }
 
-/// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that
-/// nothing is built twice.
+/// What is built beside the default: Parquet, the plant's protocols, and the GigE camera where its library is. The same in every
+/// command, so that nothing is built twice.
 fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
-        true => &[
-            "--features",
-            "flankscope/aravis,flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua,flankscope-plant/parquet,flankscope-plant/tls",
-        ],
-        false => &[
-            "--features",
-            "flankscope/parquet,flankscope-plant/mqtt,flankscope-plant/opcua,flankscope-plant/parquet,flankscope-plant/tls",
-        ],
+        true => &["--features", FEATURES, "--features", "flankscope/aravis"],
+        false => &["--features", FEATURES],
     }
 }
 
@@ -239,6 +229,11 @@ fn lint() -> Result<(), String> {
     let mut clippy = cargo(&["clippy", "--workspace", "--all-targets"]);
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
+    // What only the bench uses is dead code where there is none.
+    let program = ["-p", "flankscope", "--no-default-features", "--bins"];
+    run(cargo(
+        &[&["clippy"], &program[..], &["--", "-D", "warnings"]].concat(),
+    ))?;
     let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
     run(cargo(&interleavings))
 }
