@@ -184,13 +184,16 @@ fn test(all: bool) -> Result<(), String> {
     }
 }
 
-/// Tests what a press gets, where there is no bench: its help and its command lines. With the other features, so that it shares
-/// what the tests have built.
+/// Tests what a press gets, where there is no bench: its help and its command lines.
 fn deployment() -> Result<(), String> {
-    let program = ["--no-default-features", "--bin", "flankscope"];
-    let mut test = cargo(&[&["test", "--workspace"][..], &program].concat());
-    test.args(["--features", FEATURES]);
-    run(test)
+    run(without_bench("test"))
+}
+
+/// Cargo for the program without its bench. With the other features, so that it shares what the tests have built.
+fn without_bench(command: &str) -> Command {
+    let mut cargo = cargo(&[command, "--workspace", "--no-default-features"]);
+    cargo.args(["--bin", "flankscope", "--features", FEATURES]);
+    cargo
 }
 
 /// What is built beside the default: Parquet, the plant's protocols, and the GigE camera where its library is. The same in every
@@ -230,10 +233,9 @@ fn lint() -> Result<(), String> {
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
     // What only the bench uses is dead code where there is none.
-    let program = ["-p", "flankscope", "--no-default-features", "--bins"];
-    run(cargo(
-        &[&["clippy"], &program[..], &["--", "-D", "warnings"]].concat(),
-    ))?;
+    let mut deployed = without_bench("clippy");
+    deployed.args(["--", "-D", "warnings"]);
+    run(deployed)?;
     let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
     run(cargo(&interleavings))
 }
