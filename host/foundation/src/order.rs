@@ -16,6 +16,16 @@ pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     )
 }
 
+/// Difference between the largest and the smallest of the numbers; negative infinity of none.
+pub fn range_of(values: impl IntoIterator<Item = f64>) -> f64 {
+    let none = [f64::INFINITY, f64::NEG_INFINITY];
+    // The smaller and the larger of a number and NaN is the number.
+    let [least, most] = values.into_iter().fold(none, |[least, most], value| {
+        [least.min(value), most.max(value)]
+    });
+    most - least
+}
+
 /// The middle value, of an even number the upper of the two.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;

@@ -3,6 +3,7 @@
 //! `core` is compiled with the images, by any toolchain that has its source: only so can the board's hardware library trap where it
 //! would panic, without the text of its panics (20 KB).
 
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -31,7 +32,6 @@ const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 const LEAST_MINOR: u32 = 95;
 
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
-#[derive(Clone, Copy)]
 struct Board {
     folder: &'static str,
     /// Its other image.
@@ -41,7 +41,6 @@ struct Board {
 }
 
 /// An image with a feature, kept under a name of its own.
-#[derive(Clone, Copy)]
 struct Variant {
     feature: &'static str,
     name: &'static str,
@@ -49,7 +48,7 @@ struct Variant {
     flashed: bool,
 }
 
-const BOARDS: [Board; 3] = [
+static BOARDS: [Board; 3] = [
     Board {
         folder: "mps2-an386",
         also: Some(Variant {
@@ -76,7 +75,7 @@ const BOARDS: [Board; 3] = [
 ];
 
 /// An image that was built.
-struct Built {
+struct BuiltImage {
     name: &'static str,
     path: PathBuf,
     flashed: bool,
@@ -94,16 +93,15 @@ struct Toolchain {
 /// Builds every image and fails if one breaks a budget. Boards are built side by side: an image is linked by one thread.
 pub fn build(root: &Path) -> Result<(), String> {
     let toolchain = &toolchain()?;
-    let built: Vec<Result<Vec<Built>, String>> = std::thread::scope(|scope| {
-        let builds = BOARDS.map(|board| scope.spawn(move || board.build(root, toolchain)));
-        builds
-            .into_iter()
-            .map(|build| build.join().unwrap_or_else(|_| Err("panicked".into())))
-            .collect()
+    let built: Vec<Result<Vec<BuiltImage>, String>> = std::thread::scope(|scope| {
+        let builds = BOARDS.each_ref();
+        let builds = builds.map(|board| scope.spawn(|| board.build(root, toolchain)));
+        let ended = builds.map(|build| build.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        ended.into()
     });
     let mut broken = Vec::new();
     for images in built {
-        for Built {
+        for BuiltImage {
             name,
             path,
             flashed,
@@ -255,7 +253,7 @@ fn toolchain() -> Result<Toolchain, String> {
 
 impl Board {
     /// Builds its images, its other one first.
-    fn build(&self, root: &Path, toolchain: &Toolchain) -> Result<Vec<Built>, String> {
+    fn build(&self, root: &Path, toolchain: &Toolchain) -> Result<Vec<BuiltImage>, String> {
         let mut built = Vec::new();
         if let Some(Variant {
             feature,
@@ -266,13 +264,13 @@ impl Board {
             let path = compile(root, self, toolchain, &["--features", feature])?;
             let kept = path.with_file_name(name);
             std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
-            built.push(Built {
+            built.push(BuiltImage {
                 name,
                 path: kept,
                 flashed,
             });
         }
-        built.push(Built {
+        built.push(BuiltImage {
             name: self.folder,
             path: compile(root, self, toolchain, &[])?,
             flashed: true,

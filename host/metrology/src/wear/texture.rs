@@ -4,11 +4,11 @@
 //! size are looked at: all of one may be rough, or a part of it be rougher. What a flank is finished like shows all over it: a window
 //! that scatters much more than most of its flank is textured, unless few straight scratches explain it (`scratches.rs`).
 
-use flankscope_foundation::order::{median_of, quantile};
+use flankscope_foundation::order::{median_of, quantile, range_of};
 use rayon::prelude::*;
 
 use super::disc::Discs;
-use super::field::{Field, WearSample};
+use super::field::WearSample;
 use super::scratches;
 use super::unseen::Unseen;
 
@@ -135,8 +135,8 @@ fn mean_noise_mm2(points: &[&WearSample]) -> f64 {
     if mean_mm2.is_finite() { mean_mm2 } else { 0.0 }
 }
 
-/// Scatter of a cell's points; none of a cell with too few.
-fn scatter(points: &[&WearSample]) -> Option<Scatter> {
+/// Scatter of a cell's points, where the means of the cells around it differ by so much; none of a cell with too few.
+fn scatter(points: &[&WearSample], range_mm: f64) -> Option<Scatter> {
     let count: f64 = points.iter().map(|p| p.merged).sum();
     let freedom = count - 3.0;
     if points.len() < 4 || freedom < 2.0 {
@@ -147,7 +147,7 @@ fn scatter(points: &[&WearSample]) -> Option<Scatter> {
     Some(Scatter {
         variance_mm2: squares / freedom,
         noise_mm2: mean_noise_mm2(points),
-        of_step_mm2: 0.0,
+        of_step_mm2: STEP_VARIANCE * (range_mm - LEAST_STEP_MM).max(0.0).powi(2),
         freedom,
     })
 }
@@ -176,11 +176,8 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     let field = discs.field();
     let count = field.wear_mm.len();
     let of_cell = |cell| {
-        let scatter = scatter(&discs.of_cell(cell).collect::<Vec<_>>())?;
-        Some(Scatter {
-            of_step_mm2: STEP_VARIANCE * (range_mm(field, cell) - LEAST_STEP_MM).max(0.0).powi(2),
-            ..scatter
-        })
+        let range_mm = range_of(field.window(cell, 1).map(|c| field.wear_mm[c]));
+        scatter(&discs.of_cell(cell).collect::<Vec<_>>(), range_mm)
     };
     let scatters: Vec<Option<Scatter>> = (0..count).map(of_cell).collect();
     let window = |cell| {
@@ -209,17 +206,6 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
         windows.fold(Unseen::default(), Unseen::or)
     };
     (0..count).map(of_cell).collect()
-}
-
-/// Difference between the deepest and the highest of a cell and the eight about it, mm.
-fn range_mm(field: &Field, cell: usize) -> f64 {
-    let depths = field.window(cell, 1).map(|c| field.wear_mm[c]);
-    let [least, most] = depths
-        .filter(|mm| mm.is_finite())
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], mm| {
-            [least.min(mm), most.max(mm)]
-        });
-    most - least
 }
 
 /// What a textured window of these points hides: openings as deep at their deepest seen point as light reaches into them.

@@ -41,6 +41,7 @@ use serde::Serialize;
 
 use crate::gear::{Flank, GearData};
 use flankscope_foundation::normal::guard_factor;
+use flankscope_foundation::order::range_of;
 use limits::standard_of_u95;
 use not_told::{joined, split};
 
@@ -383,7 +384,7 @@ fn pitch(gear: &GearData, flanks: &[FlankFigures], side: Flank) -> PitchFigures 
         .filter(|tooth| arcs[*tooth as usize - 1].is_none())
         .collect();
     let total = match missing_teeth.first() {
-        None => Ok(range(&arcs.iter().copied().flatten().collect::<Vec<f64>>())),
+        None => Ok(range_of(arcs.iter().copied().flatten())),
         Some(&first) => Err(NotTold::TeethMissing {
             flank: side,
             missing: missing_teeth.len(),
@@ -433,12 +434,7 @@ fn runout(
             .find_map(|pitch| pitch.total_not_told.clone());
         why.unwrap_or(NotTold::NotSeen)
     };
-    places.map(|places| range(&places)).ok_or_else(missing)
-}
-
-fn range(values: &[f64]) -> f64 {
-    let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    high - values.iter().copied().fold(f64::INFINITY, f64::min)
+    places.map(range_of).ok_or_else(missing)
 }
 
 /// A quantity's value over all flanks, and of how many flanks it is the largest.
