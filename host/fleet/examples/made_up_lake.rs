@@ -1,7 +1,7 @@
 //! A lake to measure questions by: `cargo run --release --example made_up_lake FOLDER STATIONS DAYS`.
 //!
-//! Every station checks six flanks of one die each three minutes, 36 strokes apart; wear is a line per flank with scatter. Files are as
-//! large as joined ones: a day each.
+//! Every station checks six flanks of one die each three minutes, 36 strokes apart, until now; wear is a line per flank with scatter, and
+//! ends between 4 and 60 µm, mostly low. Files are as large as joined ones: a day each. Every eighth station fell silent two hours ago.
 
 #[path = "../tests/histories/mod.rs"]
 mod histories;
@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use flankscope_fleet::lake::Lake;
 use flankscope_test_requisites::Random;
+use jiff::Timestamp;
 use made_up::{MadeUp, Maker};
 
 const CHECKS_A_DAY: i64 = 480;
@@ -28,26 +29,50 @@ fn main() {
     let mut maker = Maker::new();
     let mut random = Random(7);
     let begun = Instant::now();
+    // Minutes since 1 March 2001, as the checks count them.
+    let now = (Timestamp::now().as_millisecond() - 983_404_800_000).div_euclid(60_000);
+    let today = now - now.rem_euclid(1440);
+    let strokes_in_all = (36 * CHECKS_A_DAY * days) as f64;
+    let mut checks = 0;
     for station in 0..stations {
-        let rates: Vec<f64> = (0..6).map(|_| 1e-5 * (1.0 + random.uniform())).collect();
+        let end_um: Vec<f64> = (0..6)
+            .map(|_| 4.0 + 56.0 * random.uniform().powi(6))
+            .collect();
+        let silent_since = if station % 8 == 7 { now - 120 } else { now };
         for day in 0..days {
+            let first = today + 1440 * (day + 1 - days);
             let check = |n: i64| {
                 let strokes = 36 * (day * CHECKS_A_DAY + n);
-                let wear = |rate: &f64| Some(4.0 + rate * strokes as f64 + random.normal());
+                let share = strokes as f64 / strokes_in_all;
+                let wear = |end_um: &f64| Some(4.0 + (end_um - 4.0) * share + random.normal());
                 MadeUp {
-                    station: format!("press {station}"),
+                    station: format!("press {}", station + 1),
                     serial: Some(format!("A {station}")),
                     head: format!("head {station}"),
-                    minute: 1440 * day + 3 * n,
+                    minute: first + 3 * n,
                     strokes,
-                    wear_um: rates.iter().map(wear).collect(),
+                    wear_um: end_um.iter().map(wear).collect(),
                 }
             };
-            let checks: Vec<MadeUp> = (0..CHECKS_A_DAY).map(check).collect();
-            maker.put(&lake, &checks);
+            let mut of_day: Vec<MadeUp> = (0..CHECKS_A_DAY).map(check).collect();
+            of_day.retain(|check| check.minute <= silent_since);
+            let Some(last) = of_day.last() else { continue };
+            // As the press would see the last check, U95 being 4 µm.
+            let most_um = last
+                .wear_um
+                .iter()
+                .flatten()
+                .fold(0.0_f64, |a, b| a.max(*b));
+            maker.verdict = match most_um {
+                54.0.. => "no-go",
+                46.0.. => "indeterminate",
+                30.0.. => "warn",
+                _ => "go",
+            };
+            checks += of_day.len();
+            maker.put(&lake, &of_day);
         }
     }
-    let checks = stations * days * CHECKS_A_DAY;
     let seconds = begun.elapsed().as_secs_f64();
     println!("{} rows of {checks} checks in {seconds:.1} s", 6 * checks);
 }

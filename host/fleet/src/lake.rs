@@ -137,8 +137,14 @@ impl Lake {
     /// Everything in the lake, or of one station.
     ///
     /// # Errors
-    /// The store cannot be listed.
+    /// The store cannot be listed, or the folder is gone, which the store would take for an empty one.
     pub async fn list(&self, station: Option<&str>) -> Result<Listing, LakeError> {
+        if let Some(path) = &self.folder {
+            std::fs::read_dir(path).map_err(|source| LakeError::Folder {
+                path: path.clone(),
+                source,
+            })?;
+        }
         let mut found = Listing::default();
         let prefix = match station {
             Some(station) => self.path(&FileName::station_folder(station))?,

@@ -3,7 +3,7 @@
 //! ```text
 //!  history of a station ──► ship ──► lake (folder or object store) ──► DuckDB, polars, any reader of Parquet
 //!                                     │   ▲
-//!                                 verify  compact, query
+//!                                 verify  compact, query, serve
 //! ```
 //!
 //! | module | holds |
@@ -17,6 +17,7 @@
 //! | [`compact`](mod@compact) | joins small files, gives up old days |
 //! | [`retired`] | marks of what was given up |
 //! | `query` | answers questions in SQL, behind a feature |
+//! | `serve` | a page of all presses, behind a feature |
 //!
 //! It opens histories through `flankscope-record`, without an instrument.
 
@@ -28,5 +29,7 @@ pub mod name;
 pub mod query;
 pub mod retired;
 pub mod rows;
+#[cfg(feature = "serve")]
+pub mod serve;
 pub mod ship;
 pub mod verify;

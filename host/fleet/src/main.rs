@@ -1,5 +1,7 @@
 //! `flankscope-fleet`: ships histories into a lake of Parquet files, verifies and compacts it, and asks it.
 
+#[cfg(feature = "serve")]
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -12,12 +14,18 @@ use flankscope_fleet::compact::{Compaction, compact};
 use flankscope_fleet::lake::{Lake, LakeError};
 #[cfg(feature = "query")]
 use flankscope_fleet::query::{Form, ask, questions};
+#[cfg(feature = "serve")]
+use flankscope_fleet::serve::{Hall, Settings, serve};
 use flankscope_fleet::ship::{ShipError, Shipped, Shipper};
 use flankscope_fleet::verify::Verifier;
 use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
+#[cfg(feature = "serve")]
+use jiff::SignedDuration;
 use jiff::Timestamp;
 use signal_hook::consts::{SIGINT, SIGTERM};
+#[cfg(feature = "query")]
+use tokio::runtime::Handle;
 
 /// How often a followed history is looked at.
 const POLL: Duration = Duration::from_secs(2);
@@ -48,6 +56,9 @@ enum Command {
     /// Ask the files that count a question in SQL, or one that has a name; nothing is written but the answer.
     #[cfg(feature = "query")]
     Query(Query),
+    /// Show all presses in a browser: who is worn, who is silent, whose die ends first. Only reads the lake.
+    #[cfg(feature = "serve")]
+    Serve(Serve),
 }
 
 #[derive(Debug, Args)]
@@ -120,6 +131,34 @@ struct Query {
     form: Form,
 }
 
+#[cfg(feature = "serve")]
+#[derive(Debug, Args)]
+struct Serve {
+    #[command(flatten)]
+    lake: InLake,
+    /// Address on this machine, where browsers or a proxy find the page; 0 as port: any that is free.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8090", value_parser = of_this_machine)]
+    listen: SocketAddr,
+    /// Map of the hall: a table (CSV) with the stations' names where their presses stand.
+    #[arg(long, value_name = "FILE")]
+    hall: Option<PathBuf>,
+    /// How long a verdict stands; older ones are never shown as good.
+    #[arg(long, value_name = "MINUTES", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..))]
+    stale_after: u16,
+}
+
+/// The page has no users of its own, so nobody else's machine reaches it.
+#[cfg(feature = "serve")]
+fn of_this_machine(text: &str) -> Result<SocketAddr, String> {
+    let address: SocketAddr = text
+        .parse()
+        .map_err(|_| "no address such as 127.0.0.1:8090")?;
+    match address.ip().is_loopback() {
+        true => Ok(address),
+        false => Err("only addresses of this machine (127.0.0.1, [::1]): let a proxy that knows users pass others on".into()),
+    }
+}
+
 fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
@@ -130,6 +169,12 @@ fn main() -> ExitCode {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?;
+        // Questions have threads of their own, one for every core.
+        #[cfg(feature = "query")]
+        let engine = tokio::runtime::Builder::new_multi_thread()
+            .thread_name("engine")
+            .enable_all()
+            .build()?;
         runtime.block_on(async {
             match cli.command {
                 Command::Ship(ship) => ship.run().await,
@@ -137,7 +182,9 @@ fn main() -> ExitCode {
                 Command::Compact(compact) => compact.run().await,
                 Command::Files(files) => files.run().await,
                 #[cfg(feature = "query")]
-                Command::Query(query) => query.run().await,
+                Command::Query(query) => query.run(engine.handle().clone()).await,
+                #[cfg(feature = "serve")]
+                Command::Serve(serve) => serve.run(engine.handle().clone()).await,
             }
         })
     };
@@ -292,11 +339,29 @@ impl Compact {
     }
 }
 
+#[cfg(feature = "serve")]
+impl Serve {
+    async fn run(self, engine: Handle) -> anyhow::Result<ExitCode> {
+        let settings = Settings {
+            lake: self.lake.open()?,
+            hall: self.hall.as_deref().map(Hall::load).transpose()?,
+            stale_after: SignedDuration::from_mins(self.stale_after.into()),
+        };
+        let listener = tokio::net::TcpListener::bind(self.listen).await;
+        let listener = listener.with_context(|| format!("cannot listen on {}", self.listen))?;
+        println!("http://{}", listener.local_addr()?);
+        serve(listener, settings, engine).await?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
 #[cfg(feature = "query")]
 impl Query {
-    async fn run(&self) -> anyhow::Result<ExitCode> {
-        if let (Some(lake), Some(question)) = (&self.lake, &self.question) {
-            let answer = ask(&Lake::open(lake)?, question).await?;
+    async fn run(self, engine: Handle) -> anyhow::Result<ExitCode> {
+        if let (Some(lake), Some(question)) = (self.lake, self.question) {
+            let lake = Lake::open(&lake)?;
+            let answer = engine.spawn(async move { ask(&lake, &question).await });
+            let answer = answer.await??;
             answer.write(self.form, std::io::BufWriter::new(std::io::stdout()))?;
         }
         if self.list {

@@ -131,7 +131,7 @@ impl fmt::Display for FileName {
 }
 
 /// Percent-encoded but for letters, digits, `_`, `.` and `-`, as readers of such folders decode it.
-fn encoded(text: &str) -> String {
+pub(crate) fn encoded(text: &str) -> String {
     let mut encoded = String::new();
     for byte in text.bytes() {
         match byte {

@@ -7,6 +7,7 @@ mod answer;
 mod file_reader;
 mod table;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use datafusion::arrow::array::RecordBatch;
@@ -18,11 +19,12 @@ use datafusion::functions_aggregate::first_last::last_value_udaf;
 use datafusion::parquet::errors::ParquetError;
 use datafusion::prelude::{SessionConfig, SessionContext};
 
-use crate::lake::{Lake, LakeError};
+use crate::lake::{Lake, LakeError, Listed};
 use crate::name::FileName;
 use table::ChecksTable;
 
 pub use answer::Form;
+pub use datafusion::common::ScalarValue;
 
 /// Views and named questions, for people and for DuckDB, too.
 pub const QUESTIONS_SQL: &str = include_str!("questions.sql");
@@ -50,6 +52,8 @@ pub enum QueryError {
     Arrow(#[from] ArrowError),
     #[error("the answer cannot be written: {0}")]
     Parquet(#[from] ParquetError),
+    #[error("the answer has other columns than were asked for: {0}")]
+    Columns(#[from] serde_json::Error),
     #[error("the answer cannot be written: {0}")]
     Output(#[from] std::io::Error),
 }
@@ -101,52 +105,99 @@ pub struct Answer {
     pub batches: Vec<RecordBatch>,
 }
 
+impl Answer {
+    /// Its rows as values of a type with a field for every column that is wanted.
+    ///
+    /// # Errors
+    /// A column is missing, or of another type.
+    pub fn rows<T: serde::de::DeserializeOwned>(&self) -> Result<Vec<T>, QueryError> {
+        let mut text = Vec::new();
+        self.write(Form::Json, &mut text)?;
+        Ok(serde_json::from_slice(&text)?)
+    }
+}
+
 /// Asks a lake: SQL, or a named question.
 ///
 /// # Errors
 /// The lake cannot be read, a file that the answer needs is damaged, or the question is refused.
 pub async fn ask(lake: &Lake, asked: &str) -> Result<Answer, QueryError> {
-    let sql = sql(asked)?;
-    let context = context(lake).await?;
-    let only_read = SQLOptions::new()
-        .with_allow_ddl(false)
-        .with_allow_dml(false)
-        .with_allow_statements(false);
-    let frame = context.sql_with_options(sql, only_read).await?;
-    let schema = Arc::clone(frame.schema().inner());
-    Ok(Answer {
-        schema,
-        batches: frame.collect().await?,
-    })
+    Snapshot::of(lake).await?.ask(asked, Vec::new()).await
 }
 
-/// The table and the views.
-async fn context(lake: &Lake) -> Result<SessionContext, QueryError> {
-    let listing = lake.list(None).await?;
-    let found = listing.cover();
-    if let Some((one, other)) = found.doubled.first() {
-        return Err(QueryError::Doubled {
-            one: Box::new(one.clone()),
-            other: Box::new(other.clone()),
-        });
+/// A lake with the files that count now. What is added later is not asked.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    lake: Lake,
+    files: Vec<Listed>,
+}
+
+impl Snapshot {
+    /// # Errors
+    /// The lake cannot be listed, or two files have the same checks.
+    pub async fn of(lake: &Lake) -> Result<Self, QueryError> {
+        let listing = lake.list(None).await?;
+        let found = listing.cover();
+        if let Some((one, other)) = found.doubled.first() {
+            return Err(QueryError::Doubled {
+                one: Box::new(one.clone()),
+                other: Box::new(other.clone()),
+            });
+        }
+        let current: BTreeSet<&FileName> = found.current.iter().collect();
+        let mut files = listing.files;
+        files.retain(|file| current.contains(&file.name));
+        Ok(Self {
+            lake: lake.clone(),
+            files,
+        })
     }
-    let current: std::collections::BTreeSet<&FileName> = found.current.iter().collect();
-    let mut files = listing.files;
-    files.retain(|file| current.contains(&file.name));
-    let context =
-        SessionContext::new_with_config(SessionConfig::new().with_information_schema(true));
-    // DuckDB's word for it.
-    let last = (*last_value_udaf()).clone().with_aliases(["last"]);
-    context.register_udaf(last);
-    context.register_table("checks", Arc::new(ChecksTable::new(lake, &files)?))?;
-    let views = QUESTIONS_SQL.split(NAME).next().unwrap_or_default();
-    for view in views
-        .split_inclusive(";\n")
-        .filter(|view| view.contains("CREATE VIEW"))
-    {
-        context.sql(view).await?;
+
+    /// The files, by name.
+    pub fn names(&self) -> impl Iterator<Item = &FileName> {
+        self.files.iter().map(|file| &file.name)
     }
-    Ok(context)
+
+    /// Asks it; `values` stand for `$1`, `$2`, … in SQL.
+    ///
+    /// # Errors
+    /// A file that the answer needs is damaged, or the question is refused.
+    pub async fn ask(&self, asked: &str, values: Vec<ScalarValue>) -> Result<Answer, QueryError> {
+        let sql = sql(asked)?;
+        let context = self.context().await?;
+        let only_read = SQLOptions::new()
+            .with_allow_ddl(false)
+            .with_allow_dml(false)
+            .with_allow_statements(false);
+        let mut frame = context.sql_with_options(sql, only_read).await?;
+        if !values.is_empty() {
+            frame = frame.with_param_values(values)?;
+        }
+        let schema = Arc::clone(frame.schema().inner());
+        Ok(Answer {
+            schema,
+            batches: frame.collect().await?,
+        })
+    }
+
+    /// The table and the views.
+    async fn context(&self) -> Result<SessionContext, QueryError> {
+        let context =
+            SessionContext::new_with_config(SessionConfig::new().with_information_schema(true));
+        // DuckDB's word for it.
+        let last = (*last_value_udaf()).clone().with_aliases(["last"]);
+        context.register_udaf(last);
+        let checks = ChecksTable::new(&self.lake, &self.files)?;
+        context.register_table("checks", Arc::new(checks))?;
+        let views = QUESTIONS_SQL.split(NAME).next().unwrap_or_default();
+        for view in views
+            .split_inclusive(";\n")
+            .filter(|view| view.contains("CREATE VIEW"))
+        {
+            context.sql(view).await?;
+        }
+        Ok(context)
+    }
 }
 
 #[cfg(test)]

@@ -74,6 +74,21 @@ FROM (
 )
 WHERE together_at = die_at AND flank IS NOT NULL;
 
+-- name: presses
+-- The last check of every station, with the flank that is nearest to its limit. Within a history numbers tell which check is the last, because a clock may have been set back.
+SELECT station, simulated, history, epoch, check_number, date, stored_at, tool, serial, tool_cycles, check_verdict, reason,
+    tooth, flank, patch, wear_um, u95_um, limit_um
+FROM (
+    SELECT c.*, row_number() OVER (PARTITION BY station
+        ORDER BY stored_at DESC, check_number DESC, limit_um - wear_um NULLS LAST, tooth, flank, patch) AS place_in_station
+    FROM checks AS c JOIN (
+        SELECT station AS its_station, history AS its_history, epoch AS its_epoch, max(check_number) AS its_last
+        FROM checks GROUP BY station, history, epoch
+    ) ON station = its_station AND history = its_history AND epoch = its_epoch AND check_number = its_last
+)
+WHERE place_in_station = 1
+ORDER BY station;
+
 -- name: dies-by-strokes-left
 -- Each die's flank that reaches its limit first: strokes left on its line, and at least how many with 95 % probability; none, and why, where the line cannot tell.
 SELECT station, tool, serial, tooth, flank, patch, simulated, die_at AS last_check, now_um, limit_um,
