@@ -2,19 +2,16 @@
 //!
 //! A zone is sampled on a fine grid. From every sample, the die's surface is searched along the flank's normal; the distance of
 //! the point found from the drawing's facets of that flank is the deviation there, positive for proud material. The distance is
-//! computed with a library that the instrument does not use.
+//! computed without the instrument's code: another hierarchy (obvhs), and the nearest point of a triangle in closed form.
 
 use std::collections::BTreeMap;
 
 use flankscope_gear_cad::{GearSpec, Mesh};
 use nalgebra::{Point3, Vector3};
-use parry3d_f64::math::Vector;
-use parry3d_f64::query::PointQuery;
-use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::world::{FlankId, World, flank_of_facet};
+use crate::world::{FlankId, RayCaster, World, flank_of_facet};
 
 /// Spacing of samples along profile and height, mm, unless there are too many.
 const SAMPLE_MM: f64 = 0.02;
@@ -74,24 +71,21 @@ pub fn compare(world: &World, judged: &Judged) -> BTreeMap<FlankId, ZoneTruth> {
 }
 
 /// The drawing's facets of every judged flank.
-fn drawn_flanks(judged: &Judged) -> BTreeMap<FlankId, TriMesh> {
-    let mut corners: BTreeMap<FlankId, Vec<Vector>> = BTreeMap::new();
-    for t in &judged.cad.triangles {
-        let facet = t.map(|v| judged.cad.vertices[v as usize]);
+fn drawn_flanks(judged: &Judged) -> BTreeMap<FlankId, RayCaster> {
+    let mut flanks: BTreeMap<FlankId, Mesh> = BTreeMap::new();
+    for triangle in &judged.cad.triangles {
+        let facet = triangle.map(|v| judged.cad.vertices[v as usize]);
         if let Some(id) = flank_of_facet(&judged.gear, facet, ON_FLANK_MM)
             && judged.flanks.contains(&id)
         {
-            let of_flank = corners.entry(id).or_default();
-            of_flank.extend(facet.map(|[x, y, z]| Vector::new(x, y, z)));
+            let flank = flanks.entry(id).or_default();
+            let first = flank.vertices.len() as u32;
+            flank.vertices.extend(facet);
+            flank.triangles.push([first, first + 1, first + 2]);
         }
     }
-    let mesh = |(id, corners): (FlankId, Vec<Vector>)| {
-        let facets = (0..corners.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]);
-        let facets = facets.collect();
-        // Fails only without facets.
-        TriMesh::new(corners, facets).ok().map(|mesh| (id, mesh))
-    };
-    corners.into_iter().filter_map(mesh).collect()
+    let caster = |(id, flank): (FlankId, Mesh)| (id, RayCaster::new(&flank));
+    flanks.into_iter().map(caster).collect()
 }
 
 /// Cells of a zone: profile length by height. An involute surface unrolls into its length without stretching.
@@ -129,7 +123,7 @@ impl Grid {
         world: &World,
         judged: &Judged,
         id: FlankId,
-        facets: &TriMesh,
+        facets: &RayCaster,
     ) -> Vec<Option<f64>> {
         let gear = &judged.gear;
         let base = gear.base_radius_mm();
@@ -143,10 +137,7 @@ impl Grid {
             let normal = Vector3::new(nx, ny, 0.0);
             let drawn = Point3::new(radius * cos, radius * sin, height);
             let found = drawn + world.surface_along_mm(drawn, normal, reach_mm)? * normal;
-            let nearest = facets
-                .project_local_point(Vector::new(found.x, found.y, found.z), false)
-                .point;
-            let off = found - Point3::new(nearest.x, nearest.y, nearest.z);
+            let off = found - facets.nearest_point(found)?;
             Some(off.norm().copysign(off.dot(&normal)))
         };
         (0..self.count[0] * self.count[1])

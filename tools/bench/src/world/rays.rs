@@ -6,6 +6,7 @@ use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::{Bvh2, builder::build_bvh2};
 use obvhs::ray::{Ray, RayHit};
+use std::cmp::Ordering;
 use std::time::Duration;
 
 /// The hierarchy stores single precision: half a unit in the last place at 100 mm is 4e-6 mm, so boxes grow by ten times
@@ -139,6 +140,45 @@ impl RayCaster {
             })
     }
 
+    /// Point of the mesh nearest to `point`; `None` for a mesh without triangles. The first of several at the same distance.
+    pub fn nearest_point(&self, point: Point3<f64>) -> Option<Point3<f64>> {
+        let mut best: Option<(f64, Vector3<f64>)> = None;
+        // Nodes to be opened, with the squared distance of their boxes.
+        let mut open = Vec::with_capacity(64);
+        let squared_mm2 = |node: usize| {
+            let aabb = self.bvh.nodes.get(node)?.aabb();
+            let [low, high] = [aabb.min, aabb.max].map(|corner| {
+                let corner: [f32; 3] = corner.into();
+                Vector3::from(corner.map(f64::from))
+            });
+            let outside = (low - point.coords).sup(&(point.coords - high));
+            Some((outside.map(|mm| mm.max(0.0)).norm_squared(), node))
+        };
+        open.extend(squared_mm2(0));
+        while let Some((box_mm2, node)) = open.pop() {
+            if best.is_some_and(|(nearest_mm2, _)| nearest_mm2 <= box_mm2) {
+                continue;
+            }
+            let node = &self.bvh.nodes[node];
+            let first = node.first_index as usize;
+            if node.is_leaf() {
+                for triangle in &self.corners[first..first + node.prim_count as usize] {
+                    let candidate = nearest_on_triangle(*triangle, point.coords);
+                    let mm2 = (candidate - point.coords).norm_squared();
+                    if best.is_none_or(|(nearest_mm2, _)| mm2 < nearest_mm2) {
+                        best = Some((mm2, candidate));
+                    }
+                }
+            } else {
+                let mut children = [first, first + 1].map(squared_mm2);
+                // The nearer one is opened first.
+                children.sort_by(|a, b| b.partial_cmp(a).unwrap_or(Ordering::Equal));
+                open.extend(children.into_iter().flatten());
+            }
+        }
+        best.map(|(_, nearest)| nearest.into())
+    }
+
     /// Ray parameter of the intersection with triangle `leaf` in front of the origin (Möller and Trumbore 1997).
     fn distance(&self, leaf: usize, origin: Point3<f64>, direction: Vector3<f64>) -> Option<f64> {
         // Slight overlap, so that a ray through a shared edge hits at least one of its triangles.
@@ -164,8 +204,112 @@ impl RayCaster {
     }
 }
 
+/// Point of a triangle, given by a corner and two edges from it, nearest to `point`: its foot on the plane, or else the nearest
+/// of the three edges. A triangle without area is its edges.
+fn nearest_on_triangle([a, u, v]: [Vector3<f64>; 3], point: Vector3<f64>) -> Vector3<f64> {
+    let from_corner = point - a;
+    let (uu, uv, vv) = (u.norm_squared(), u.dot(&v), v.norm_squared());
+    let (along_u, along_v) = (from_corner.dot(&u), from_corner.dot(&v));
+    let determinant = uu * vv - uv * uv;
+    let s = (vv * along_u - uv * along_v) / determinant;
+    let t = (uu * along_v - uv * along_u) / determinant;
+    if s >= 0.0 && t >= 0.0 && s + t <= 1.0 {
+        return a + s * u + t * v;
+    }
+    let on_edge = |from: Vector3<f64>, edge: Vector3<f64>| {
+        // `max` takes zero for an edge without length, whose quotient is no number.
+        let along = (point - from).dot(&edge) / edge.norm_squared();
+        from + along.max(0.0).min(1.0) * edge
+    };
+    let edges = [on_edge(a, u), on_edge(a, v), on_edge(a + u, v - u)];
+    let nearer = |p: Vector3<f64>, q: Vector3<f64>| match (p - point).norm_squared()
+        <= (q - point).norm_squared()
+    {
+        true => p,
+        false => q,
+    };
+    nearer(nearer(edges[0], edges[1]), edges[2])
+}
+
 fn single_precision(origin: Point3<f64>, direction: Vector3<f64>, reach: f32) -> Ray {
     let origin = <[f32; 3]>::from(origin.coords.map(|x| x as f32));
     let direction = <[f32; 3]>::from(direction.map(|x| x as f32));
     Ray::new(origin.into(), direction.into(), 0.0, reach)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::RngExt;
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64;
+
+    use super::*;
+
+    /// The faces of a box between two corners, each of two triangles, as slivers where it is flat.
+    fn of_box(low: [f64; 3], high: [f64; 3]) -> Mesh {
+        let corner = |i: u32| [0, 1, 2].map(|k| if i >> k & 1 == 1 { high[k] } else { low[k] });
+        let face = |[a, b, c, d]: [u32; 4]| [[a, b, c], [a, c, d]];
+        let faces = [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ];
+        Mesh {
+            vertices: (0..8).map(corner).collect(),
+            triangles: faces.into_iter().flat_map(face).collect(),
+        }
+    }
+
+    /// The distance of a point from the surface of a box, in closed form.
+    fn from_box_mm(low: [f64; 3], high: [f64; 3], point: [f64; 3]) -> f64 {
+        let outside = [0, 1, 2].map(|k| (low[k] - point[k]).max(point[k] - high[k]));
+        match outside.iter().all(|mm| *mm < 0.0) {
+            true => outside.into_iter().fold(f64::INFINITY, |d, mm| d.min(-mm)),
+            false => Vector3::from(outside.map(|mm| mm.max(0.0))).norm(),
+        }
+    }
+
+    #[test]
+    fn the_nearest_point_of_a_box_is_as_far_as_its_closed_form_says() {
+        let mut rng = Pcg64::seed_from_u64(7);
+        for high in [[3.0, 2.0, 1.0], [60.0, 0.02, 5.0]] {
+            let low = [-1.0, 0.0, 0.5];
+            let caster = RayCaster::new(&of_box(low, high));
+            for _ in 0..2000 {
+                let point = [0, 1, 2].map(|k| rng.random_range(low[k] - 4.0..high[k] + 4.0));
+                let nearest = caster.nearest_point(point.into()).unwrap();
+                let got_mm = (nearest - Point3::from(point)).norm();
+                let expected_mm = from_box_mm(low, high, point);
+                assert!((got_mm - expected_mm).abs() < 1e-12 * 100.0, "{point:?}");
+                // It lies on the surface.
+                assert!(from_box_mm(low, high, nearest.into()) < 1e-12 * 100.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_triangle_without_area_is_its_edges_and_no_mesh_has_no_nearest_point() {
+        let line = Mesh {
+            vertices: vec![[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+            triangles: vec![[0, 1, 2], [1, 1, 1]],
+        };
+        let nearest =
+            |mesh: &Mesh, point: [f64; 3]| RayCaster::new(mesh).nearest_point(point.into());
+        assert_eq!(
+            nearest(&line, [1.5, 1.0, 0.0]),
+            Some([1.5, 0.0, 0.0].into())
+        );
+        assert_eq!(
+            nearest(&line, [5.0, 0.0, 1.0]),
+            Some([2.0, 0.0, 0.0].into())
+        );
+        let none = Mesh {
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+        };
+        assert_eq!(nearest(&none, [0.0; 3]), None);
+    }
 }
