@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
-use flankscope_metrology::cloud::surface::CloudSurface;
+use flankscope_metrology::cloud_surface::CloudSurface;
 use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;

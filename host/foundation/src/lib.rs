@@ -7,6 +7,7 @@
 //! | [`files`] | files that appear whole or not at all, and their digests |
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
 //! | [`order`] | quantiles and medians |
+//! | [`random`] | counter-based random numbers |
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
 //! | [`seal`] | whose word a file is |
 //! | [`simd`] | one function for every processor, in the widest vectors it has |
@@ -33,6 +34,7 @@ pub mod files;
 pub mod normal;
 pub mod npz;
 pub mod order;
+pub mod random;
 pub mod rigid;
 pub mod seal;
 pub mod simd;

@@ -242,7 +242,7 @@ pub fn statistics(values_mm: &[f64]) -> Option<Statistics> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     #[test]
     fn the_nearest_sample_is_that_of_a_linear_search_in_every_order() {

@@ -1,17 +1,15 @@
-//! Points against CAD: meshes, registration, exact deviation, wear, verdict.
+//! Points against CAD: registration, deviation, wear, verdict. Meshes, clouds and exact distance come from `flankscope-geometry`, whose
+//! modules stand here, too.
 //!
 //! ```text
-//!  space         boxes, normals, order in space
-//!  io            other people's meshes and clouds, checked where they enter
-//!  cloud         points by themselves: neighbours, outliers, merging
 //!  kinematics    from commanded stages to the pose of the camera
 //!  view          where a view is taken
-//!  surface       triangles: exact signed distance, random points
 //!  gear          teeth and flanks, ISO 1328 evaluation
 //!  patch         any other parts of the CAD, each with a frame of its own
 //!  feature       where on flanks or patches a point lies
 //!  registration  one cloud laid on CAD
 //!  deviation     distances of the points laid on it
+//!  cloud_surface a cloud as the surface that another one is laid on
 //!  multiview     many views laid on CAD together, merged over the bore
 //!  wear          what is missing from a flank, with its uncertainty
 //!  verdict       figures against limits
@@ -37,19 +35,17 @@
 //! Millimetres and radians throughout, f64. Numbers from outside are checked where they enter ([`io`], [`tool`]) and are finite from there on.
 #![warn(missing_docs)]
 
-pub mod cloud;
+pub mod cloud_surface;
 pub mod deviation;
 pub mod feature;
 pub mod gear;
-pub mod io;
 pub mod kinematics;
 pub mod multiview;
 pub mod patch;
-mod random;
 pub mod registration;
-pub mod space;
-pub mod surface;
 pub mod tool;
 pub mod verdict;
 pub mod view;
 pub mod wear;
+
+pub use flankscope_geometry::{cloud, io, space, surface};

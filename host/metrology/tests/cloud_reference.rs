@@ -3,7 +3,7 @@
 mod support;
 
 use flankscope_foundation::rigid::Rigid;
-use flankscope_metrology::cloud::surface::CloudSurface;
+use flankscope_metrology::cloud_surface::CloudSurface;
 use flankscope_metrology::registration::{
     Options, Registration, RegistrationFailure, RegistrationTarget, Status, register,
 };

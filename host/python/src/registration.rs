@@ -1,7 +1,7 @@
 //! One cloud laid on CAD, or on another cloud.
 
 use flankscope_foundation::rigid::Rigid;
-use flankscope_metrology::cloud::surface::CloudSurface;
+use flankscope_metrology::cloud_surface::CloudSurface;
 use flankscope_metrology::registration::{self as lib, Options, Status, TYPICAL_NOISE_MM};
 use flankscope_metrology::verdict::Code;
 use numpy::PyArrayDyn;

@@ -17,6 +17,7 @@ const FRAMES: &str = "host/frames";
 const CAMERA: &str = "host/camera";
 const FOUNDATION: &str = "host/foundation";
 const PROFILOMETRY: &str = "host/profilometry";
+const GEOMETRY: &str = "host/geometry";
 const METROLOGY: &str = "host/metrology";
 const ARTICLE: &str = "host/article";
 const INSTRUMENT: &str = "host/instrument";
@@ -43,6 +44,7 @@ const EVERYTHING: &[&str] = &[
     CAMERA,
     FOUNDATION,
     PROFILOMETRY,
+    GEOMETRY,
     METROLOGY,
     ARTICLE,
     INSTRUMENT,
@@ -72,7 +74,9 @@ const ROOMS: &[Room] = &[
     (CAMERA, &[FRAMES, FOUNDATION]),
     (FOUNDATION, &[]),
     (PROFILOMETRY, &[FOUNDATION]),
-    (METROLOGY, &[FOUNDATION]),
+    // Meshes and points: neither gears nor views.
+    (GEOMETRY, &[FOUNDATION]),
+    (METROLOGY, &[FOUNDATION, GEOMETRY]),
     // Views, CAD and poses in, figures out: neither instrument nor session folder.
     (ARTICLE, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
     // Frames and time: neither verdicts nor what is stored.

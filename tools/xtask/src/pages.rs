@@ -7,6 +7,7 @@ use crate::git;
 /// What decides about a verdict: from light to word, and the bench that it is tried on.
 const VERDICT: &[&str] = &[
     "host/profilometry/src",
+    "host/geometry/src",
     "host/metrology/src",
     "host/jobs/src",
     "tools/bench/src",
@@ -15,6 +16,7 @@ const VERDICT: &[&str] = &[
 const SPEED: &[&str] = &[
     "host/frames/src",
     "host/profilometry/src",
+    "host/geometry/src",
     "host/metrology/src",
     "host/jobs/src",
 ];

@@ -53,7 +53,7 @@ pub fn durbin_watson(series: &[f64]) -> Option<Drift> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     fn normal(seed: u64, index: u64) -> f64 {
         (0..12).map(|k| uniform(seed, 12 * index + k)).sum::<f64>() - 6.0

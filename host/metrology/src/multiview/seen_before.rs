@@ -138,8 +138,8 @@ fn squares(values: impl Iterator<Item = f64> + Clone) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::normal;
     use crate::wear::SeenFlank;
+    use flankscope_foundation::random::normal;
 
     const SIGMA_MM: [f64; 2] = [0.7e-3, 1.2e-3];
 

@@ -187,7 +187,7 @@ fn without_form(teeth: u32, means: &[(u32, f64)]) -> Vec<(u32, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     const TEETH: u32 = 84;
 

@@ -154,7 +154,7 @@ fn check_spread(side: &'static str, scatter: Matrix3<f64>) -> Result<(), PairsEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     fn cost(pairs: &[Pair], pose: &Isometry3<f64>) -> f64 {
         pairs_rms(pairs, &Rigid::from_isometry(*pose))

@@ -5,8 +5,8 @@ use nalgebra::{Rotation3, Vector3};
 
 use crate::gear::GearKind;
 use crate::io::mesh::TriMesh;
-use crate::random::uniform;
 use crate::surface::Surface;
+use flankscope_foundation::random::uniform;
 
 /// Most teeth that are looked for.
 const MOST_TEETH: u32 = 400;

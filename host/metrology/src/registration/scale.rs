@@ -203,8 +203,8 @@ fn solve(rows: &[(Vector4<f64>, f64)], unknowns: usize) -> Option<(Vector4<f64>,
 mod tests {
     use super::*;
     use crate::gear::tests::ring84;
-    use crate::random::normal;
     use crate::surface::Feature;
+    use flankscope_foundation::random::normal;
 
     /// Tips, roots and flanks of five teeth about tooth 3, a larger die by `scale` that lies elsewhere and turned; `lost_mm` is
     /// gone from each flank, and from each tip and root land, which it takes for faces, the roots of teeth beyond the last.

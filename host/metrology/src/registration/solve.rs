@@ -11,9 +11,9 @@ use rayon::prelude::*;
 use super::observe::Observability;
 use super::prior::ScaledPrior;
 use super::{Options, Registration, RegistrationFailure, RegistrationTarget, Status};
-use crate::random::uniform;
 use crate::space::morton::along_curve;
 use crate::surface::CHUNK;
+use flankscope_foundation::random::uniform;
 use flankscope_foundation::rigid::Rigid;
 
 /// Points per level; the last level takes all.

@@ -123,7 +123,7 @@ fn terms(field: &Field, cell: usize) -> SVector<f64, TERMS> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::normal;
+    use flankscope_foundation::random::normal;
 
     const SLANT: f64 = 2.9;
 

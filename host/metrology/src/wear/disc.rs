@@ -14,7 +14,7 @@ use std::sync::LazyLock;
 
 use super::field::{Field, WearSample};
 use super::unseen::Unseen;
-use crate::random::normal;
+use flankscope_foundation::random::normal;
 
 /// Cells across a disc's diameter: the noise of cells and holes as small as this are told apart.
 pub(super) const CELLS_ACROSS: f64 = 5.0;
@@ -652,7 +652,7 @@ mod tests {
             let mut field = Field::unmeasured([1.7, 6.0], 0.11);
             let samples: Vec<WearSample> = (0..6000)
                 .map(|i| {
-                    let u = |k: u64| crate::random::uniform(seed, 3 * i + k);
+                    let u = |k: u64| flankscope_foundation::random::uniform(seed, 3 * i + k);
                     let at_mm = [1.7 * u(0), 6.0 * u(1)];
                     let step = if at_mm[1] > 4.0 && seed % 3 == 0 {
                         0.05

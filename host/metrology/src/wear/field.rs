@@ -441,7 +441,7 @@ mod nan_as_null {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::normal;
+    use flankscope_foundation::random::normal;
 
     /// Cells with noise of one millionth on a shape.
     fn field(shape: impl Fn(f64, f64) -> f64) -> Field {

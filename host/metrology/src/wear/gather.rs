@@ -318,7 +318,7 @@ mod tests {
 
     use super::*;
     use crate::gear::tests::ring84;
-    use crate::random::{normal, uniform};
+    use flankscope_foundation::random::{normal, uniform};
 
     const KEY: (u32, Flank) = (40, Flank::Left);
     const SIGMA_MM: f64 = 0.5e-3;

@@ -184,8 +184,8 @@ mod tests {
     use super::*;
     use crate::gear::GearData;
     use crate::gear::tests::ring84;
-    use crate::random::uniform;
     use crate::registration::{Options, Prior};
+    use flankscope_foundation::random::uniform;
     use flankscope_foundation::rigid::Rigid;
 
     /// The leakage of one flank, template by template: what [`of_feature`] has to equal. `places` says where each contact of the

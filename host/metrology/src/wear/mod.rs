@@ -537,7 +537,7 @@ impl FlankWear {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::normal;
+    use flankscope_foundation::random::normal;
 
     const SIZE_MM: [f64; 2] = [1.6, 4.0];
     const NOISE_MM: f64 = 2e-3;

@@ -195,7 +195,7 @@ fn explained(diagonal: &[f64], beside: &[f64], right: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{normal, uniform};
+    use flankscope_foundation::random::{normal, uniform};
 
     const NOISE_MM: f64 = 1e-3;
 

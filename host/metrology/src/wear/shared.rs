@@ -279,9 +279,9 @@ fn posterior(flanks: &[SeenFlank], [at_mm, sigma_mm]: [f64; 2], form_mm: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{normal, uniform};
     use crate::verdict::{Rule, Word, decide};
     use crate::wear::DETECTION_FACTOR;
+    use flankscope_foundation::random::{normal, uniform};
 
     const FORM_MM: f64 = 0.5e-3;
     const STAGES_MM: f64 = 9e-3;

@@ -223,7 +223,7 @@ fn opening(points: &[&WearSample], slant: f64) -> Unseen {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     #[test]
     fn squares_about_a_plane_are_those_about_the_best_of_many() {

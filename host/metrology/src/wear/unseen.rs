@@ -135,7 +135,7 @@ pub(crate) mod tests {
     use super::super::{FlankWear, WearSettings};
     use super::*;
     use crate::gear::Flank;
-    use crate::random::{normal, uniform};
+    use flankscope_foundation::random::{normal, uniform};
 
     /// Rays of the 20 mm head on a flank: one per column and row of these, jittered by a tenth, mm.
     const RAYS_MM: [f64; 2] = [0.09, 0.027];

@@ -217,9 +217,13 @@ fn nearest_on_triangle([a, u, v]: [Vector3<f64>; 3], point: Vector3<f64>) -> Vec
         return a + s * u + t * v;
     }
     let on_edge = |from: Vector3<f64>, edge: Vector3<f64>| {
-        // `max` takes zero for an edge without length, whose quotient is no number.
-        let along = (point - from).dot(&edge) / edge.norm_squared();
-        from + along.max(0.0).min(1.0) * edge
+        let length2 = edge.norm_squared();
+        let along = if length2 > 0.0 {
+            (point - from).dot(&edge) / length2
+        } else {
+            0.0
+        };
+        from + along.clamp(0.0, 1.0) * edge
     };
     let edges = [on_edge(a, u), on_edge(a, v), on_edge(a + u, v - u)];
     let nearer = |p: Vector3<f64>, q: Vector3<f64>| match (p - point).norm_squared()

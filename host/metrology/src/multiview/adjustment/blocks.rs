@@ -141,7 +141,7 @@ fn factor(above: &[Row], current: &mut Row) -> Option<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
     use nalgebra::{DMatrix, Vector6};
 
     const VIEWS: usize = 9;

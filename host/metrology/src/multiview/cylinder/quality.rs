@@ -90,7 +90,7 @@ impl FieldQuality {
 mod tests {
     use super::super::Layout;
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     /// Nearly normal: the sum of twelve uniforms.
     fn normal(seed: u64, i: u64) -> f64 {

@@ -11,9 +11,9 @@ use rayon::prelude::*;
 
 use super::*;
 use crate::gear::Flank;
-use crate::random::{normal, uniform};
 use crate::verdict::Rule;
 use crate::wear::{FlankWear, WearSettings};
+use flankscope_foundation::random::{normal, uniform};
 
 /// The zone, mm, and its raster for the truth, mm.
 const SIZE_MM: [f64; 2] = [1.7, 3.0];

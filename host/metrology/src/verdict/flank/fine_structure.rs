@@ -9,9 +9,9 @@ use rayon::prelude::*;
 
 use super::campaign::limits;
 use super::*;
-use crate::random::uniform;
 use crate::verdict::Word;
 use crate::wear::looked::{hairlines, looked_at, waves};
+use flankscope_foundation::random::uniform;
 
 const SIZE_MM: [f64; 2] = [1.7, 3.0];
 const SEED: u64 = 20_000;

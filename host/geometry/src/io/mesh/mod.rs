@@ -13,7 +13,7 @@ use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
 
 pub use error::MeshError;
 pub use stl::write_stl;
-pub(crate) use weld::weld;
+pub use weld::weld;
 
 use crate::io::{Unit, ply};
 use crate::space::unit_normal;

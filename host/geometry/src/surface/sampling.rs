@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::io::mesh::TriMesh;
-use crate::random::uniform;
+use flankscope_foundation::random::uniform;
 
 const CHUNK: usize = 1 << 13;
 

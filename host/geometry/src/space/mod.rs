@@ -1,8 +1,8 @@
 //! Boxes, the normal of a triangle, and an order in which neighbours in space follow each other.
 
 mod bounds;
-pub(crate) mod morton;
+pub mod morton;
 mod normal;
 
 pub use bounds::Aabb;
-pub(crate) use normal::unit_normal;
+pub use normal::unit_normal;

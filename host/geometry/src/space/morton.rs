@@ -111,7 +111,7 @@ fn map_few_along_curve<T: Copy + Send + Sync>(
 }
 
 /// Numbers of the points in the order of a Z curve; none when they already follow each other closely.
-pub(crate) fn along_curve(points: &[[f64; 3]]) -> Option<Vec<u32>> {
+pub fn along_curve(points: &[[f64; 3]]) -> Option<Vec<u32>> {
     let key = keys(scattered(points)?);
     let keys: Vec<u32> = points.iter().map(key).collect();
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
@@ -258,7 +258,7 @@ fn spread(x: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     #[test]
     fn scattered_points_are_visited_in_order_and_results_come_back_in_theirs() {

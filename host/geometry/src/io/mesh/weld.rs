@@ -6,7 +6,7 @@ use std::hash::{BuildHasher, RandomState};
 ///
 /// Minus zero counts as zero. Open addressing with linear probing: a mesh of a million corners is joined in tens of
 /// milliseconds, which a general hash map of keys of 24 bytes does not reach.
-pub(crate) fn weld(points: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<u32>) {
+pub fn weld(points: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<u32>) {
     const FREE: u32 = u32::MAX;
     // Nobody can prepare points that all meet in one slot; the result does not depend on it.
     let seed = RandomState::new().hash_one(0);

@@ -317,7 +317,7 @@ fn in_order(parts: &[Vec<Voxel>], chunk: usize) -> Vec<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
     use std::collections::HashMap;
 
     fn cloud(count: u64) -> Vec<[f64; 3]> {

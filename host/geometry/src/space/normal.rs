@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 const FLAT_RATIO: f64 = 1e-12;
 
 /// Unit normal of a triangle, or none when it has no area.
-pub(crate) fn unit_normal(corners: [[f64; 3]; 3]) -> Option<[f64; 3]> {
+pub fn unit_normal(corners: [[f64; 3]; 3]) -> Option<[f64; 3]> {
     let [a, b, c] = corners.map(Vector3::from);
     let (ab, ac, bc) = (b - a, c - a, c - b);
     let cross = ab.cross(&ac);

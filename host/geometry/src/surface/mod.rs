@@ -216,7 +216,7 @@ impl Surface {
     }
 
     /// Shows `visit` each point's closest point, with what belongs to the point, on this thread.
-    pub(crate) fn each_closest<T>(
+    pub fn each_closest<T>(
         &self,
         points: &[[f64; 3]],
         with: &mut [T],

@@ -187,8 +187,8 @@ fn perpendicular(u: Vector3<f64>) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
     use crate::surface::triangle::Prepared;
+    use flankscope_foundation::random::uniform;
 
     #[test]
     fn the_estimate_stays_within_its_bound() {

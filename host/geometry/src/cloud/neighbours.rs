@@ -439,7 +439,7 @@ fn alone(boxes: &Boxes, point: [f64; 3], k: usize, mut reach2: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     fn brute_force(points: &[[f64; 3]], k: usize) -> Vec<f64> {
         let mean = |p: &[f64; 3]| {

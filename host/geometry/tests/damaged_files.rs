@@ -1,13 +1,11 @@
 //! Thousands of damaged files: whatever the bytes, the answer is a mesh that keeps its promises or an error.
 
-mod support;
-
-use flankscope_metrology::io::Unit;
-use flankscope_metrology::io::cloud;
-use flankscope_metrology::io::mesh::{self, TriMesh};
-use flankscope_metrology::io::ply;
-use flankscope_metrology::surface::Surface;
-use support::Random;
+use flankscope_geometry::io::Unit;
+use flankscope_geometry::io::cloud;
+use flankscope_geometry::io::mesh::{self, TriMesh};
+use flankscope_geometry::io::ply;
+use flankscope_geometry::surface::Surface;
+use flankscope_test_requisites::Random;
 
 fn tetrahedron() -> TriMesh {
     TriMesh {
@@ -61,7 +59,7 @@ fn originals() -> Vec<Vec<u8>> {
 
 #[test]
 fn no_damage_gets_through_or_brings_the_reader_down() {
-    let mut random = Random::new(20);
+    let mut random = Random(20);
     let (mut accepted, mut refused) = (0, 0);
     for original in originals() {
         assert!(

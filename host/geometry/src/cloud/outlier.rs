@@ -24,7 +24,7 @@ pub fn statistical(points: &[[f64; 3]], k: usize, std_ratio: f64) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::uniform;
+    use flankscope_foundation::random::uniform;
 
     fn brute_force(points: &[[f64; 3]], k: usize, std_ratio: f64) -> Vec<bool> {
         let distance = |a: &[f64; 3], b: &[f64; 3]| {

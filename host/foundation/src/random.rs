@@ -17,12 +17,12 @@ fn mix(mut z: u64) -> u64 {
 
 /// Uniform in [0, 1) with 53 random bits.
 #[inline]
-pub(crate) fn uniform(seed: u64, index: u64) -> f64 {
+pub fn uniform(seed: u64, index: u64) -> f64 {
     (bits(seed, index) >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }
 
 /// Standard normal deviate number `index` of a seed (Box and Muller, Ann. Math. Stat. 29, 610, 1958).
-pub(crate) fn normal(seed: u64, index: u64) -> f64 {
+pub fn normal(seed: u64, index: u64) -> f64 {
     // 1 - u lies in (0, 1]: its logarithm is finite.
     let radius = (-2.0 * (1.0 - uniform(seed, 2 * index)).ln()).sqrt();
     radius * (std::f64::consts::TAU * uniform(seed, 2 * index + 1)).cos()
