@@ -174,6 +174,7 @@ const ROOMS: &[Room] = &[
 const TESTS_ONLY: &[Room] = &[
     (CONTROLLER, &[TEST_REQUISITES]),
     (PROFILOMETRY, &[TEST_REQUISITES]),
+    (GEOMETRY, &[TEST_REQUISITES]),
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
     (INSTRUMENT, &[TEST_REQUISITES]),
@@ -382,6 +383,8 @@ mod tests {
         assert!(judge(&arrow(INSTRUMENT, PROTOCOL)).is_ok());
         for (from, to) in [
             (METROLOGY, PROFILOMETRY),
+            (GEOMETRY, METROLOGY),
+            (BENCH, GEOMETRY),
             (PROFILOMETRY, BENCH),
             (PROTOCOL, INSTRUMENT),
             (FRAMES, INSTRUMENT),
