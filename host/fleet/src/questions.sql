@@ -81,10 +81,11 @@ SELECT station, simulated, history, epoch, check_number, date, stored_at, tool, 
 FROM (
     SELECT c.*, row_number() OVER (PARTITION BY station
         ORDER BY stored_at DESC, check_number DESC, limit_um - wear_um NULLS LAST, tooth, flank, patch) AS place_in_station
-    FROM checks AS c JOIN (
+    -- The few stand first: of them the engine makes its table.
+    FROM (
         SELECT station AS its_station, history AS its_history, epoch AS its_epoch, max(check_number) AS its_last
         FROM checks GROUP BY station, history, epoch
-    ) ON station = its_station AND history = its_history AND epoch = its_epoch AND check_number = its_last
+    ) JOIN checks AS c ON station = its_station AND history = its_history AND epoch = its_epoch AND check_number = its_last
 )
 WHERE place_in_station = 1
 ORDER BY station;
