@@ -67,8 +67,7 @@ FROM (
     FROM checks WHERE station = $1 AND date >= $2 AND date <= $3 AND stored_at < $4
 )
 WHERE place_in_check = 1
-ORDER BY stored_at DESC, check_number DESC
-LIMIT 50";
+ORDER BY stored_at DESC, check_number DESC";
 
 /// The flanks of a check.
 const OF_CHECK: &str = "
@@ -79,6 +78,24 @@ ORDER BY tooth, flank, patch";
 pub(crate) struct Times {
     now: Timestamp,
     stale_after: SignedDuration,
+}
+
+impl Times {
+    /// How far a station's clock may be ahead of this one.
+    const AHEAD: SignedDuration = SignedDuration::from_mins(2);
+
+    fn age(&self, of: Timestamp) -> SignedDuration {
+        self.now.duration_since(of)
+    }
+
+    /// Whether a time lies in the future.
+    fn is_ahead(&self, of: Timestamp) -> bool {
+        self.age(of) < -Self::AHEAD
+    }
+
+    fn is_stale(&self, of: Timestamp) -> bool {
+        self.age(of) > self.stale_after
+    }
 }
 
 /// What the routes share.
@@ -105,7 +122,7 @@ impl Site {
 
     async fn ask<T: serde::de::DeserializeOwned + Send + 'static>(
         &self,
-        question: &'static str,
+        question: impl Into<String>,
         values: Vec<ScalarValue>,
     ) -> Result<Vec<T>, Failed> {
         let snapshot: Option<Arc<Snapshot>> = self.standing.borrow().snapshot.clone();
@@ -267,7 +284,9 @@ async fn press(
         ScalarValue::Date32(day(before_ms)),
         ScalarValue::TimestampMillisecond(Some(before_ms), Some("UTC".into())),
     ];
-    let checks: Vec<CheckRow> = site.ask(OF_PRESS, values).await?;
+    let checks: Vec<CheckRow> = site
+        .ask(format!("{OF_PRESS} LIMIT {LISTED}"), values)
+        .await?;
     // The next page begins where this one ends: after a full page its last check, else the days that were looked at.
     let next_ms = match checks.last() {
         Some(oldest) if checks.len() == LISTED => oldest.stored_at.as_millisecond(),

@@ -1,5 +1,6 @@
 //! What the lake said last: the presses as soon as a file is new, lines and ring comparison at their own pace.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -43,10 +44,11 @@ pub struct Lines {
 pub async fn asked<T: DeserializeOwned + Send + 'static>(
     engine: &Handle,
     snapshot: Arc<Snapshot>,
-    question: &'static str,
+    question: impl Into<String>,
     values: Vec<ScalarValue>,
 ) -> Result<Vec<T>, String> {
-    let asking = engine.spawn(async move { snapshot.ask(question, values).await?.rows() });
+    let question = question.into();
+    let asking = engine.spawn(async move { snapshot.ask(&question, values).await?.rows() });
     let answer = asking.await.map_err(|error| error.to_string())?;
     answer.map_err(|error: QueryError| error.to_string())
 }
@@ -93,15 +95,15 @@ async fn look(
     let mut presses: Vec<LastCheck> =
         asked(engine, Arc::clone(&snapshot), "presses", Vec::new()).await?;
     // A folder whose disk is not mounted is empty, too: a press that was there once does not vanish without a word.
-    for known in last.presses.iter() {
-        if !presses.iter().any(|press| press.station == known.station) {
-            let is_gone = true;
-            presses.push(LastCheck {
-                is_gone,
-                ..known.clone()
-            });
-        }
-    }
+    let present: BTreeSet<&String> = presses.iter().map(|press| &press.station).collect();
+    let gone = last.presses.iter();
+    let gone = gone.filter(|known| !present.contains(&known.station));
+    let gone = gone.map(|known| LastCheck {
+        is_gone: true,
+        ..known.clone()
+    });
+    let gone: Vec<LastCheck> = gone.collect();
+    presses.extend(gone);
     Ok((snapshot, Arc::new(presses)))
 }
 

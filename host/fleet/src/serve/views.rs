@@ -1,5 +1,7 @@
 //! What the templates show. A verdict is shown as standing on the board alone, and only while it is fresh.
 
+use std::collections::BTreeSet;
+
 use askama::Template;
 use jiff::{SignedDuration, Timestamp};
 
@@ -10,14 +12,12 @@ use super::{Site, Times};
 use crate::name::encoded;
 use crate::query::questions;
 
-/// Verdicts as checks spell them, the worst first; nothing else has a colour.
-const WORDS: [&str; 4] = ["no-go", "indeterminate", "warn", "go"];
 /// Class of what does not stand.
 const OLD: &str = "old";
+/// Verdicts as checks spell them, the worst first; what nobody knows stands before what is well. Nothing else has a colour.
+const CLASSES: [&str; 5] = ["no-go", "indeterminate", "warn", OLD, "go"];
 /// End of the bands' scale, in the shortest life that is left.
 const SCALE_RATIO: f64 = 10.0;
-/// How far a station's clock may be ahead of this one.
-const AHEAD: SignedDuration = SignedDuration::from_mins(2);
 
 /// One decimal, as limits are written.
 fn one_decimal(figure: Option<f64>) -> String {
@@ -91,14 +91,16 @@ impl Shown {
         lake_answers: bool,
         times: &Times,
     ) -> Self {
-        let age = times.now.duration_since(check.stored_at);
-        let word = WORDS.iter().find(|word| **word == check.check_verdict);
+        let mut words = CLASSES.into_iter().filter(|class| *class != OLD);
+        let word = words.find(|word| *word == check.check_verdict);
         let was = || format!("was {}", check.check_verdict);
         match word {
             _ if !lake_answers => Self::Old(was()),
             _ if *is_gone => Self::Old(format!("{}; the lake has nothing of it any more", was())),
-            _ if age < -AHEAD => Self::Old(format!("{}; its clock is ahead", was())),
-            _ if age > times.stale_after => Self::Old(was()),
+            _ if times.is_ahead(check.stored_at) => {
+                Self::Old(format!("{}; its clock is ahead", was()))
+            }
+            _ if times.is_stale(check.stored_at) => Self::Old(was()),
             Some(word) => Self::Standing(word),
             None => Self::Old(was()),
         }
@@ -147,13 +149,10 @@ struct Board {
 /// The board: tiles on the map, then the others, the worst first.
 pub fn board(site: &Site, standing: &Standing) -> askama::Result<String> {
     let times = site.times();
-    let silent = standing.answered_at.is_none_or(|at| {
-        times.now.duration_since(at) > Site::SILENT || times.now.duration_since(at) < -AHEAD
-    });
     let fault = match (&standing.fault, standing.answered_at) {
         (Some(fault), _) => Some(format!("The lake cannot be asked: {fault}")),
         (None, None) => Some("The lake was not read yet.".into()),
-        (None, Some(last)) if silent => {
+        (None, Some(last)) if times.is_ahead(last) || times.age(last) > Site::SILENT => {
             Some(format!("No answer of the lake since {} UTC.", at(last)))
         }
         _ => None,
@@ -167,11 +166,9 @@ pub fn board(site: &Site, standing: &Standing) -> askama::Result<String> {
         let of = shown.iter().filter(|(shown, _)| shown.class() == class);
         (class, of.count())
     };
-    // What nobody knows stands before what is well.
-    let order = ["no-go", "indeterminate", "warn", OLD, "go"];
-    let counts = order.into_iter().map(count).filter(|(_, n)| *n > 0);
+    let counts = CLASSES.into_iter().map(count).filter(|(_, n)| *n > 0);
     let counts = counts.collect();
-    let rank = |shown: &Shown| order.iter().position(|class| *class == shown.class());
+    let rank = |shown: &Shown| CLASSES.iter().position(|class| *class == shown.class());
     shown.sort_by(|(a, first), (b, second)| {
         (rank(a), &first.station).cmp(&(rank(b), &second.station))
     });
@@ -188,12 +185,9 @@ pub fn board(site: &Site, standing: &Standing) -> askama::Result<String> {
         }
     }
     // A place whose press never said a word is no gap in the hall.
+    let known: BTreeSet<&String> = shown.iter().map(|(_, press)| &press.station).collect();
     for (station, place) in site.hall.iter().flat_map(|hall| &hall.0) {
-        if !standing
-            .presses
-            .iter()
-            .any(|press| press.station == *station)
-        {
+        if !known.contains(station) {
             let tile = Tile {
                 class: OLD,
                 link: press_link(station),
@@ -240,7 +234,7 @@ fn tile<'a>(
         station: &press.station,
         word: shown.word(),
         simulated: check.simulated,
-        age: ago(times.now.duration_since(check.stored_at)),
+        age: ago(times.age(check.stored_at)),
         lines: vec![
             die(check),
             format!(
@@ -329,7 +323,6 @@ impl Dies {
                 Some(_) => format!("more than {scale:.0}"),
                 None => "—".into(),
             };
-            let age = times.now.duration_since(die.last_check);
             DieRow {
                 link: press_link(&die.station),
                 station: die.station.clone(),
@@ -344,7 +337,7 @@ impl Dies {
                 band,
                 why_not: die.why_not.clone().unwrap_or_else(beyond),
                 last_check: at(die.last_check),
-                stale: age > times.stale_after || age < -AHEAD,
+                stale: times.is_stale(die.last_check) || times.is_ahead(die.last_check),
             }
         };
         let asked = sentence_or_fault(answer, when(lines, standing), "dies-by-strokes-left");
