@@ -174,7 +174,6 @@ pub struct Recorder<'a, S: FrameSource> {
     /// Frames since arming.
     arrived: u32,
     open: Option<CapturedView>,
-    kept: Option<S::Frame>,
     saver: Option<Saver>,
     /// Where pixel levels are counted, if they are.
     counted: Option<Option<ImageCircle>>,
@@ -204,7 +203,6 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             arm: None,
             arrived: 0,
             open: None,
-            kept: None,
             saver: None,
             counted: None,
             earlier: VecDeque::new(),
@@ -350,7 +348,11 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             == (settings.keepsake.exposure, settings.keepsake.pattern)
             && header.label.view < MOST_PICTURES
         {
-            self.kept = Some(frame);
+            // While the view's last frames are exposed.
+            let shown = picture(view_of(&frame), settings);
+            let _ = self
+                .events
+                .send(Recorded::Picture(header.label.view, shown));
         }
         if open.frames.len() == self.planned.len() && open.problem.is_none() {
             self.close();
@@ -390,10 +392,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 planned: self.planned.len(),
             });
         }
-        let number = view.view;
         let _ = self.events.send(Recorded::View(Box::new(view)));
-        // The view is evaluated meanwhile.
-        self.show(number);
     }
 
     fn fail(&mut self, error: ViewError) {
@@ -401,15 +400,6 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             Some(open) => drop(open.problem.get_or_insert(error)),
             None => tracing::warn!(%error, "a frame outside any view"),
         }
-    }
-
-    /// Makes an 8-bit grey picture of the lit part of a view's kept frame, read in shared memory, and releases the frame.
-    fn show(&mut self, view: u16) {
-        let Some(frame) = self.kept.take() else {
-            return;
-        };
-        let shown = picture(view_of(&frame), self.settings);
-        let _ = self.events.send(Recorded::Picture(view, shown));
     }
 }
 
@@ -424,7 +414,7 @@ fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
     }
 }
 
-/// Crops a frame to its lit part and scales its counts to 8 bits; reads the frame in place.
+/// An 8-bit grey picture of the lit part of a frame, which is read in place.
 fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
     let row = |y: usize| {
         view.pixels

@@ -66,13 +66,11 @@ impl<O: Send + 'static> Acquisition<O> {
             lit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
                 exposure: program.exposures_us.len() as u16 / 2,
-                // The last pattern of the finest fringes.
-                pattern: program
-                    .patterns
-                    .sets
-                    .iter()
-                    .map(|set| set.steps as u16)
-                    .sum(),
+                // The first pattern of the finest fringes: the picture is made before the view's last frame has come.
+                pattern: 1 + {
+                    let sets = program.patterns.sets.iter().rev().skip(1);
+                    sets.map(|set| set.steps as u16).sum::<u16>()
+                },
             },
             full_scale_dn: decoder.full_scale_dn(),
             camera: HeadCamera {
