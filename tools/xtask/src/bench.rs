@@ -6,6 +6,7 @@ mod instructions;
 mod plot;
 
 pub use checks::run as checks;
+pub use instructions::check as instructions;
 
 use std::path::Path;
 use std::process::Command;
@@ -55,7 +56,7 @@ const ROWS: &[Row] = &[
 /// Runs everything; `peers` is a Python environment made as `tools/peers/README.md` says.
 pub fn run(root: &Path, peers: Option<&str>) -> Result<(), String> {
     let folder = root.join("target/bench-data");
-    data::make(&folder)?;
+    data::make(&folder, data::RING_POINTS)?;
     let mut figures = Vec::new();
     let arguments = [
         "run",
@@ -97,13 +98,6 @@ pub fn run(root: &Path, peers: Option<&str>) -> Result<(), String> {
         println!("{figure}");
     }
     plots(root, &figures)
-}
-
-/// Instructions of the hot kernels; fails where one became dearer.
-pub fn instructions(root: &Path) -> Result<(), String> {
-    let folder = root.join("target/bench-data");
-    data::make(&folder)?;
-    instructions::check(&folder)
 }
 
 /// How cost grows, as pictures in `docs/bench`.

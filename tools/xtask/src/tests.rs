@@ -46,10 +46,12 @@ struct TestProgram {
 }
 
 /// What a build made.
-struct Built {
+pub struct Built {
     tests: Vec<TestProgram>,
     /// The command line's program.
     program: Option<PathBuf>,
+    /// Every crate's examples by name.
+    pub examples: HashMap<String, PathBuf>,
 }
 
 /// Builds and runs all of them; `all`: nothing may be skipped.
@@ -57,7 +59,7 @@ struct Built {
 /// # Errors
 /// What does not build, and the programs in which a test failed.
 pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
-    let built = build(root)?;
+    let built = build(root, None)?;
     let times_file = target().join(TIMES);
     let last: HashMap<String, f64> = std::fs::read(&times_file)
         .ok()
@@ -155,7 +157,11 @@ fn run_one(name: &str, mut command: Command) -> (bool, Duration) {
     }
 }
 
-fn build(root: &Path) -> Result<Built, String> {
+/// Builds all tests and examples; `units`: each crate into so many code generation units, whatever the environment says.
+///
+/// # Errors
+/// What does not build.
+pub fn build(root: &Path, units: Option<u32>) -> Result<Built, String> {
     let mut cargo = cargo(&[
         "test",
         "--workspace",
@@ -163,6 +169,10 @@ fn build(root: &Path) -> Result<Built, String> {
         "--message-format=json-render-diagnostics",
     ]);
     cargo.args(features());
+    if let Some(units) = units {
+        cargo.env("CARGO_PROFILE_DEV_CODEGEN_UNITS", units.to_string());
+        cargo.env("CARGO_INCREMENTAL", "0");
+    }
     eprintln!("$ {cargo:?}");
     let output = cargo
         .stderr(Stdio::inherit())
@@ -174,6 +184,7 @@ fn build(root: &Path) -> Result<Built, String> {
     let mut built = Built {
         tests: Vec::new(),
         program: None,
+        examples: HashMap::new(),
     };
     for message in Message::parse_stream(&output.stdout[..]) {
         let message = message.map_err(|error| format!("cargo's answer: {error}"))?;
@@ -186,6 +197,8 @@ fn build(root: &Path) -> Result<Built, String> {
         if !artifact.profile.test {
             if artifact.target.is_bin() && artifact.target.name == "flankscope" {
                 built.program = Some(path);
+            } else if artifact.target.is_example() {
+                built.examples.insert(artifact.target.name, path);
             }
             continue;
         }

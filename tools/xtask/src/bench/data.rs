@@ -5,7 +5,7 @@
 //! | `coarse.ply` | toothed surface of a ring gear, 84 teeth x 40 chords x 2 = 6 720 triangles, each 66 mm long |
 //! | `fine.ply`, `fine.stl` | the same surface with 56 chords and 66 layers: 620 928 triangles |
 //! | `between-N.ply` | the same surface with N triangles, between coarse and fine |
-//! | `random.f64`, `sorted.f64`, `scan.f64` | 4.21 million points on it with 20 µm of noise, in three orders |
+//! | `random.f64`, `sorted.f64`, `scan.f64` | points on it with 20 µm of noise, in three orders |
 //! | `feature.ply` | CAD of one feature: the upper 10 mm of three teeth with their end face |
 //! | `feature.f64`, `truth.f64` | 100 000 points on it with 5 µm of noise, moved by 0.4° and 0.1 mm; the way back |
 //! | `view.f64` | 100 000 points of one view as a camera gives them: row by row, with a few wild ones |
@@ -27,8 +27,8 @@ const BETWEEN: [(usize, u32); 3] = [(40, 4), (48, 12), (56, 24)];
 
 type P = [f64; 3];
 
-/// Fills `folder` unless it is filled.
-pub fn make(folder: &Path) -> Result<(), String> {
+/// Fills `folder` unless it is filled; the ring's clouds get so many points.
+pub fn make(folder: &Path, ring_points: usize) -> Result<(), String> {
     if folder.join(DONE).is_file() {
         return Ok(());
     }
@@ -44,7 +44,7 @@ pub fn make(folder: &Path) -> Result<(), String> {
         let name = format!("between-{}.ply", mesh.triangles.len());
         save(folder, &name, |out| write_ply(&mesh, out))?;
     }
-    ring(folder, &fine)?;
+    ring(folder, &fine, ring_points)?;
     feature(folder)?;
     cloud(folder, "view.f64", &view())?;
     save(folder, DONE, |_| Ok(()))
@@ -123,9 +123,9 @@ fn compact(mesh: &Mesh, triangles: Vec<[u32; 3]>) -> Mesh {
     out
 }
 
-fn ring(folder: &Path, mesh: &Mesh) -> Result<(), String> {
+fn ring(folder: &Path, mesh: &Mesh, count: usize) -> Result<(), String> {
     let mut random = Random(1);
-    let mut points = sample(mesh, RING_POINTS, 0.02, &mut random);
+    let mut points = sample(mesh, count, 0.02, &mut random);
     cloud(folder, "random.f64", &points)?;
     // A scan: view by view (one tooth each), row by row of 20 µm, along the row.
     let pitch = TAU / 84.0;

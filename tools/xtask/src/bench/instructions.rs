@@ -1,65 +1,114 @@
-//! Instructions of the hot kernels, counted by valgrind: the same number on every run, whatever else the machine does.
+//! Instructions of every stage of a check, counted by valgrind: the same number on every run, whatever else the machine does.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Kernels of `host/metrology/examples/kernels.rs`, and the millions of instructions that each took when it was last judged
-/// good. Rust 1.95, release, AVX2.
-const KERNELS: [(&str, &str, f64); 4] = [
-    ("distance", "100 000 sorted points, 6 720 triangles", 47.7),
-    ("register", "100 000 points", 187.8),
-    ("outliers", "100 000 points of a view, k = 20", 507.0),
-    ("merge", "300 000 points, 0.05 mm", 85.6),
+use super::data;
+use crate::tests;
+
+/// A stage, as an example runs it in a function of its own.
+struct Stage {
+    example: &'static str,
+    name: &'static str,
+    work: &'static str,
+    /// Millions of instructions when it was last judged good: Rust 1.95, development profile with one code generation unit a crate, AVX2.
+    good: f64,
+}
+
+/// The views are those of `tools/demo/examples/capture.rs`, everything else is of `host/metrology/examples/kernels.rs`.
+#[rustfmt::skip]
+const STAGES: [Stage; 8] = [
+    Stage { example: "capture", name: "high12", work: "a view of 25 frames to points, core by core", good: 729.5 },
+    Stage { example: "capture", name: "scan16", work: "a view of 17 frames to points", good: 1071.5 },
+    Stage { example: "capture", name: "insitu12", work: "a view of 13 frames to points", good: 793.3 },
+    Stage { example: "kernels", name: "outliers", work: "100 000 points of a view, k = 20", good: 1427.0 },
+    Stage { example: "kernels", name: "register", work: "100 000 points", good: 246.9 },
+    Stage { example: "kernels", name: "distance", work: "100 000 sorted points, 6 720 triangles", good: 145.7 },
+    Stage { example: "kernels", name: "wear", work: "100 000 points, both flanks of three teeth", good: 593.3 },
+    Stage { example: "kernels", name: "merge", work: "300 000 points, 0.05 mm", good: 97.4 },
 ];
 /// More than this above it is a regression; as much below, and the number wants to be brought up to date.
 const TOLERANCE: f64 = 0.03;
+/// Points of the ring's clouds: what the kernels take of them.
+const RING_POINTS: usize = 300_000;
 
-/// Counts every kernel on the benchmark's data and fails if one became dearer.
-pub fn check(data: &Path) -> Result<(), String> {
+/// Counts every stage and fails if one became dearer, or so much cheaper that the next regression would hide behind it.
+///
+/// # Errors
+/// What valgrind or a stage said, and every stage that is beyond the tolerance.
+pub fn check(root: &Path) -> Result<(), String> {
     if flankscope_test_requisites::on_path("valgrind").is_none() {
         return Err("valgrind is missing; get it: apt-get install valgrind".into());
     }
-    crate::run(crate::cargo(&[
-        "build",
-        "--release",
-        "-q",
-        "-p",
-        "flankscope-metrology",
-        "--example",
-        "kernels",
-    ]))?;
-    let target = crate::target();
-    println!("| kernel | work | million instructions | last judged good |\n|---|---|---|---|");
-    let mut dearer = Vec::new();
-    for (kernel, work, good) in KERNELS {
-        let output = Command::new("valgrind")
-            .args([
-                "--tool=callgrind",
-                "--callgrind-out-file=/dev/null",
-                "--collect-atstart=no",
-                "--toggle-collect=*kernels*counted*",
-            ])
-            .arg(target.join("release/examples/kernels"))
-            .arg(data)
-            .arg(kernel)
-            .output()
-            .map_err(|error| format!("valgrind: {error}"))?;
-        let said = String::from_utf8_lossy(&output.stderr);
-        let count = said
-            .lines()
-            .find_map(|line| line.split_once("Collected :")?.1.trim().parse::<f64>().ok())
-            .ok_or_else(|| format!("valgrind did not count {kernel}:\n{said}"))?;
-        let millions = count * 1e-6;
-        println!("| {kernel} | {work} | {millions:.1} | {good} |");
-        if millions > good * (1.0 + TOLERANCE) {
-            dearer.push(format!(
-                "{kernel}: {millions:.1} million instructions, {good} were enough"
+    let folder = crate::target().join("instruction-data");
+    data::make(&folder, RING_POINTS)?;
+    let examples = tests::build(root, Some(1))?.examples;
+    let counts = Mutex::new(Vec::new());
+    let next = AtomicUsize::new(0);
+    let lanes = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..lanes {
+            scope.spawn(|| {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(stage) = STAGES.get(at) else { return };
+                    let count = examples
+                        .get(stage.example)
+                        .ok_or_else(|| format!("no example {} was built", stage.example))
+                        .and_then(|program| millions(program, stage, &folder));
+                    let mut counts = counts.lock().unwrap_or_else(|broken| broken.into_inner());
+                    counts.push((at, count));
+                }
+            });
+        }
+    });
+    let mut counts = counts
+        .into_inner()
+        .unwrap_or_else(|broken| broken.into_inner());
+    counts.sort_by_key(|&(at, _)| at);
+    println!("| stage | work | million instructions | last judged good |\n|---|---|---|---|");
+    let mut off = Vec::new();
+    for (at, count) in counts {
+        let Stage {
+            name, work, good, ..
+        } = STAGES[at];
+        let millions = count?;
+        println!("| {name} | {work} | {millions:.1} | {good} |");
+        if (millions / good - 1.0).abs() > TOLERANCE {
+            off.push(format!(
+                "{name}: {millions:.1} million instructions instead of {good}: mend what became dearer, or enter the new number in \
+                 tools/xtask/src/bench/instructions.rs and BENCHMARK.md and say why"
             ));
         }
     }
-    if dearer.is_empty() {
+    if off.is_empty() {
         Ok(())
     } else {
-        Err(dearer.join("\n       "))
+        Err(off.join("\n       "))
+    }
+}
+
+fn millions(program: &PathBuf, stage: &Stage, data: &Path) -> Result<f64, String> {
+    let output = Command::new("valgrind")
+        .args([
+            "--tool=callgrind",
+            "--callgrind-out-file=/dev/null",
+            "--collect-atstart=no",
+        ])
+        .arg(format!("--toggle-collect=*{}*counted*", stage.example))
+        .arg(program)
+        .args(["counted", stage.name])
+        .arg(data)
+        .output()
+        .map_err(|error| format!("valgrind: {error}"))?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    let collected = said
+        .lines()
+        .find_map(|line| line.split_once("Collected :")?.1.trim().parse::<f64>().ok());
+    match collected {
+        Some(count) if output.status.success() => Ok(count * 1e-6),
+        _ => Err(format!("valgrind did not count {}:\n{said}", stage.name)),
     }
 }
