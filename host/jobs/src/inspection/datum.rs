@@ -8,6 +8,7 @@ use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::{Datum, Tool};
 use flankscope_metrology::verdict::{Code, Reason};
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use super::views::EvaluatorError;
 use crate::plan::FieldOfView;
@@ -65,7 +66,7 @@ fn on_gear(
         Datum::Lands => !(low_mm..high_mm).contains(&x.hypot(y)),
         Datum::All => true,
     };
-    points.iter().map(is_used).collect()
+    points.par_iter().map(is_used).collect()
 }
 
 /// Selects the points inside the datum of a patch (tool frame, mm).

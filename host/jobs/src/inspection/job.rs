@@ -97,8 +97,9 @@ impl Job<ViewOutcome> {
         let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let evaluate = move |view, sums: &Accumulator| {
-            let mut outcome = evaluator.evaluate(view, sums);
-            outcome.phasors.push(Phasors::of(sums));
+            let (mut outcome, phasors) =
+                rayon::join(|| evaluator.evaluate(view, sums), || Phasors::of(sums));
+            outcome.phasors.push(phasors);
             outcome
         };
         let plan = Arc::new(plan);

@@ -16,6 +16,7 @@ use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_t
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Sight, WearSettings};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
+use rayon::prelude::*;
 
 use super::exposures::exposures_disagree;
 use super::flank_decision::FlankCriteria;
@@ -246,7 +247,7 @@ impl Evaluator {
         laps.lap("registration");
         let located: Vec<[f64; 3]> = cold
             .points
-            .iter()
+            .par_iter()
             .map(|&p| fit.registration.tool_from_cloud.apply(p))
             .collect();
         let closest = place.surface.closest_many(&located);
@@ -263,13 +264,6 @@ impl Evaluator {
             let rays = if is_dark { &mut dark } else { &mut undecoded };
             rays.push(along.into());
         }
-        let light = Light {
-            rejected: decoded.rejected,
-            contrast: decoded.contrast.clone(),
-            medians: decoded.light,
-            projectors: decoded.projectors,
-            other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
-        };
         let measured = Measured {
             points: &located,
             closest: &closest,
@@ -283,12 +277,32 @@ impl Evaluator {
                 light: &cold.light,
             }),
         };
-        let assessed = match (&fit.registration.status, &self.scale) {
+        let assess = || match (&fit.registration.status, &self.scale) {
             (_, Err(reason)) => self.not_assessed(place, reason),
             (Status::Registered, Ok(_)) => self.assess(place, &fit, measured, &places),
             (Status::Indeterminate(reason), Ok(_)) => {
                 self.not_assessed(place, &Reason::Registration(reason.clone()))
             }
+        };
+        // Of the view as a whole: none of them needs another's result.
+        let (assessed, ((other_order_ratio, missing), (maps, deviations_um))) =
+            rayon::join(assess, || {
+                rayon::join(
+                    || {
+                        (
+                            self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
+                            self.missing_teeth(&fit, measured, &places, &cold.points),
+                        )
+                    },
+                    || maps::draw(self.features(), place.tooth, &place.zone, &closest, &places),
+                )
+            });
+        let light = Light {
+            rejected: decoded.rejected,
+            contrast: decoded.contrast.clone(),
+            medians: decoded.light,
+            projectors: decoded.projectors,
+            other_order_ratio,
         };
         let fields = assessed
             .wears
@@ -297,12 +311,8 @@ impl Evaluator {
             .map(Reference::of_flank)
             .collect();
         laps.lap("wear");
-        let (tooth, zone) = (place.tooth, &place.zone);
-        let (maps, deviations_um) = maps::draw(self.features(), tooth, zone, &closest, &places);
-        laps.lap("maps");
         let points = cold.points.len();
         let captures = vec![assessed.wears];
-        let missing = self.missing_teeth(&fit, measured, &places, &cold.points);
         ViewOutcome {
             flanks: assessed.flanks,
             in_view: InView::of_view(place.tooth, &captures, missing, &self.criteria),
@@ -361,14 +371,18 @@ impl Evaluator {
             // Grazing rays are not compared.
             cosine.abs() > GRAZING && apart.is_some_and(|orders| orders.abs() > 0.5)
         };
-        let others = points.iter().zip(closest).filter(|pair| is_other(*pair));
+        let others = points
+            .par_iter()
+            .zip(closest)
+            .filter(|pair| is_other(*pair));
         others.count() as f64 / points.len().max(1) as f64
     }
 
     /// Registers the points to the CAD, starting at the stages' pose.
     fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
-        let expected: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
+        let expected = points.par_iter().map(|&p| tool_from_camera.apply(p));
+        let expected: Vec<[f64; 3]> = expected.collect();
         // By the stages' pose, which is off by hundredths of a millimetre.
         let tool = &self.criteria.tool;
         let used = datum::used(tool, &[place.tooth], &place.surface, &expected);
@@ -405,16 +419,6 @@ impl Evaluator {
         if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, places) {
             return self.not_assessed(place, &why);
         }
-        let scale_mm = match die_size::scale_mm(
-            features,
-            (place.tooth, &place.zone),
-            measured.closest,
-            places,
-            settings,
-        ) {
-            Ok(scale_mm) => scale_mm,
-            Err(why) => return self.not_assessed(place, &why),
-        };
         let fitted = FittedView {
             features,
             zone: &place.zone,
@@ -432,13 +436,31 @@ impl Evaluator {
         let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);
         let mut teeth = vec![place.tooth];
         teeth.extend(in_view::others(features, places, in_zone, &self.asked));
-        let (mut sensitivities, measured) = rayon::join(
-            || fitted.on(&teeth),
+        let judged_zone = (place.tooth, &place.zone);
+        let ((mut sensitivities, scale_mm), measured) = rayon::join(
+            || {
+                rayon::join(
+                    || fitted.on(&teeth),
+                    || {
+                        die_size::scale_mm(
+                            features,
+                            judged_zone,
+                            measured.closest,
+                            places,
+                            settings,
+                        )
+                    },
+                )
+            },
             || {
                 let (zone, of) = (&place.zone, Some(&fit.registration));
                 wear::evaluate_placed(features, zone, &teeth, measured, places, of, settings)
             },
         );
+        let scale_mm = match scale_mm {
+            Ok(scale_mm) => scale_mm,
+            Err(why) => return self.not_assessed(place, &why),
+        };
         for of in &mut sensitivities {
             of.temperature_mm = of.temperature_mm.hypot(scale_mm);
         }
@@ -450,7 +472,7 @@ impl Evaluator {
         let evidence = sensitivities.first().and_then(|of| of.evidence.as_deref());
         let pose = evidence.cloned();
         let wears: Vec<FlankWear> = measured
-            .into_iter()
+            .into_par_iter()
             .zip(sensitivities)
             .map(|(wear, sensitivity)| wear.with(sensitivity, settings))
             .collect();

@@ -233,6 +233,11 @@ impl GearData {
         self.first_tooth_centre_deg.to_radians() + (f64::from(tooth) - 1.0) * self.pitch_rad()
     }
 
+    /// Angle from the centre of a tooth, rad, within half a turn.
+    pub(crate) fn from_tooth_centre_rad(&self, tooth: u32, angle_rad: f64) -> f64 {
+        wrapped(angle_rad - self.tooth_centre_rad(tooth))
+    }
+
     /// The tooth whose centre is nearest to an angle.
     pub fn tooth_at(&self, angle_rad: f64) -> u32 {
         let pitches = (angle_rad - self.tooth_centre_rad(1)) / self.pitch_rad();
@@ -242,8 +247,9 @@ impl GearData {
     /// Half the angle that a tooth's material covers at a radius, rad. Tooth and space are equal at the pitch circle; none
     /// inside the base circle, where there is no involute.
     pub fn half_tooth_rad(&self, radius_mm: f64) -> Option<f64> {
-        let rise = involute(self.base_radius_mm() / radius_mm)?
-            - involute(self.pressure_angle_deg.to_radians().cos())?;
+        let pressure_rad = self.pressure_angle_deg.to_radians();
+        let rise =
+            involute(self.base_radius_mm() / radius_mm)? - (pressure_rad.tan() - pressure_rad);
         let at_pitch = PI / (2.0 * f64::from(self.teeth));
         Some(match self.kind {
             // The tooth of an internal gear is the space of an external one: it widens outwards.
@@ -290,7 +296,7 @@ impl GearData {
     /// involute by an angle moves it by that angle times the base radius along every normal.
     pub fn involute_deviation_mm(&self, tooth: u32, flank: Flank, point: [f64; 3]) -> Option<f64> {
         let radius = point[0].hypot(point[1]);
-        let from_centre = wrapped(point[1].atan2(point[0]) - self.tooth_centre_rad(tooth));
+        let from_centre = self.from_tooth_centre_rad(tooth, point[1].atan2(point[0]));
         let beyond = flank.sign() * from_centre - self.half_tooth_rad(radius)?;
         Some(self.base_radius_mm() * beyond)
     }
@@ -299,13 +305,12 @@ impl GearData {
     /// beyond the radial threshold.
     pub fn place(&self, point: [f64; 3], normal: [f64; 3]) -> Option<FlankPlace> {
         let radius_mm = point[0].hypot(point[1]);
-        let base = self.base_radius_mm();
-        if radius_mm > self.radial_threshold_mm || radius_mm < base {
-            return None;
-        }
         let across = (point[0] * normal[1] - point[1] * normal[0]) / radius_mm;
         // Flank normals are within the pressure angle of the tangent, lands across it: 45 degrees tells them apart.
-        if across.abs() < std::f64::consts::FRAC_1_SQRT_2 {
+        if across.abs() < std::f64::consts::FRAC_1_SQRT_2
+            || radius_mm > self.radial_threshold_mm
+            || radius_mm < self.base_radius_mm()
+        {
             return None;
         }
         Some(FlankPlace {
@@ -352,10 +357,10 @@ impl GearData {
 
 /// inv a = tan a - a for the angle with the given cosine; none when that is above 1.
 pub(crate) fn involute(cosine: f64) -> Option<f64> {
+    // The tangent by its sides: what takes longest here is asked for every point of a scan.
     (0.0..=1.0)
         .contains(&cosine)
-        .then(|| cosine.acos())
-        .map(|angle| angle.tan() - angle)
+        .then(|| ((1.0 - cosine) * (1.0 + cosine)).sqrt() / cosine - cosine.acos())
 }
 
 /// The same angle in -pi..pi.

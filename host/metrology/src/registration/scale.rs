@@ -90,23 +90,25 @@ pub fn of_view(
 ) -> Option<Scale> {
     let mut parts: BTreeMap<(u32, ToothPart), SeenPart> = BTreeMap::new();
     let active_mm = gear.active_flank_mm();
-    let middle = middle_rad(closest);
+    let (sin_middle, cos_middle) = middle_rad(closest).sin_cos();
     let before_judged = (judged_tooth + gear.teeth - 2) % gear.teeth + 1;
     for (hit, place) in closest.iter().zip(places) {
         let [x, y, _] = hit.point;
-        let (radius_mm, angle_rad) = (x.hypot(y), y.atan2(x));
-        let part = match place {
-            Some(place) if (active_mm[0]..active_mm[1]).contains(&radius_mm) => {
-                ToothPart::Side(place.flank)
+        let land = |land_mm: f64| {
+            let radius_mm = x.hypot(y);
+            (radius_mm - land_mm).abs() < LAND_MM
+        };
+        let (tooth, part) = match place {
+            Some(place) if (active_mm[0]..active_mm[1]).contains(&place.radius_mm) => {
+                (place.tooth, ToothPart::Side(place.flank))
             }
             Some(_) => continue,
-            None if (radius_mm - gear.tip_radius_mm).abs() < LAND_MM => ToothPart::Tip,
-            None if (radius_mm - gear.root_radius_mm).abs() < LAND_MM => ToothPart::Root,
+            None if land(gear.tip_radius_mm) => (gear.tooth_at(y.atan2(x)), ToothPart::Tip),
+            None if land(gear.root_radius_mm) => {
+                let before_rad = y.atan2(x) - 0.5 * gear.pitch_rad();
+                (gear.tooth_at(before_rad), ToothPart::Root)
+            }
             None => continue,
-        };
-        let tooth = match part {
-            ToothPart::Root => gear.tooth_at(angle_rad - 0.5 * gear.pitch_rad()),
-            ToothPart::Tip | ToothPart::Side(_) => gear.tooth_at(angle_rad),
         };
         if tooth == judged_tooth || (part == ToothPart::Root && tooth == before_judged) {
             continue;
@@ -116,7 +118,7 @@ pub fn of_view(
         let seen = parts.entry((tooth, part)).or_default();
         seen.off_mm.push(hit.signed_distance_mm);
         seen.rows += row;
-        seen.along_mm += radius_mm * (angle_rad - middle).sin();
+        seen.along_mm += y * cos_middle - x * sin_middle;
     }
     parts.retain(|_, seen| seen.off_mm.len() >= LEAST_POINTS);
     if parts.len() < LEAST_PARTS {

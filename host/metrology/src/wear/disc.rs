@@ -10,7 +10,13 @@
 //! nothing was measured counts as having lost nothing, so that the figure never exceeds what was seen; what may be lost there
 //! is said beside it.
 
+// Lanes are counted: an iterator over several arrays at once hides from the compiler what a vector holds.
+#![allow(clippy::needless_range_loop)]
+
 use std::sync::LazyLock;
+
+use flankscope_foundation::simd::with_widest;
+use rayon::prelude::*;
 
 use super::field::{Field, WearSample};
 use super::unseen::Unseen;
@@ -27,6 +33,8 @@ const HALVINGS: usize = 3;
 const DRAWS: usize = 100;
 /// Parts along each side of a cell by which its overlap with a disc is counted.
 const PARTS: usize = 8;
+/// Samples, or draws of noise, that are summed side by side. A fixed number, so that sums are the same on every processor.
+const LANES: usize = 8;
 
 /// Normal deviates, used over and over: the same for every flank, so that the same points give the same bytes.
 static DEVIATES: LazyLock<Vec<f32>> =
@@ -57,9 +65,19 @@ pub(super) struct Discs<'a> {
     /// Samples by cell: `order[start[i]..start[i + 1]]`.
     order: Vec<u32>,
     start: Vec<u32>,
+    sorted: Sorted,
     /// Unseen share of each measured cell; empty where every cell was seen whole.
     unseen: Vec<Unseen>,
     radius_mm: f64,
+}
+
+/// The samples in the order of their cells, a column each: what is summed over discs.
+struct Sorted {
+    x_mm: Vec<f64>,
+    y_mm: Vec<f64>,
+    wear_mm: Vec<f64>,
+    /// One part in the number of samples of its cell.
+    share: Vec<f64>,
 }
 
 /// Overlaps of the cells around a cell with a disc on its middle: offsets and shares of the disc.
@@ -83,7 +101,21 @@ impl<'a> Discs<'a> {
                 next[cell] += 1;
             }
         }
+        let column = |of: fn(&WearSample) -> f64| {
+            let sorted = order.iter().map(|&i| of(&samples[i as usize]));
+            sorted.collect::<Vec<f64>>()
+        };
+        let shares = start.array_windows().flat_map(|[from, to]| {
+            let count = (to - from) as usize;
+            std::iter::repeat_n(1.0 / count as f64, count)
+        });
         Self {
+            sorted: Sorted {
+                x_mm: column(|sample| sample.at_mm[0]),
+                y_mm: column(|sample| sample.at_mm[1]),
+                wear_mm: column(|sample| sample.wear_mm),
+                share: shares.collect(),
+            },
             field,
             samples,
             order,
@@ -129,29 +161,48 @@ impl<'a> Discs<'a> {
     /// Mean over the disc about `middle`, mm: of its measured part, times that part's share. Every measured cell counts by
     /// the share of its points that lie in the disc, wherever points are dense or sparse.
     fn mean_mm(&self, middle: [f64; 2], sign: f64) -> f64 {
-        let squared = self.radius_mm * self.radius_mm;
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for row in self.touched(1, middle[1]) {
-            for column in self.touched(0, middle[0]) {
-                let cell = row * self.field.columns + column;
-                let count = self.start[cell + 1] - self.start[cell];
-                if count == 0 {
-                    continue;
-                }
-                let share = 1.0 / f64::from(count);
-                for sample in self.of_cell(cell) {
-                    let [x, y] = [0, 1].map(|k| sample.at_mm[k] - middle[k]);
-                    if x * x + y * y <= squared {
-                        sum += share * sample.wear_mm;
-                        weight += share;
-                    }
-                }
-            }
-        }
+        let [sum, weight] = with_widest(
+            #[inline(always)]
+            || self.sums(middle),
+        );
         if weight == 0.0 {
             return 0.0;
         }
         sign * sum / weight * (1.0 - self.unmeasured_share(middle))
+    }
+
+    /// Sum of the wear over the disc about `middle`, every sample by its share of its cell, mm, and of these shares.
+    #[inline(always)]
+    fn sums(&self, middle: [f64; 2]) -> [f64; 2] {
+        let squared = self.radius_mm * self.radius_mm;
+        let columns = self.touched(0, middle[0]);
+        let (mut sums, mut weights) = ([0.0; LANES], [0.0; LANES]);
+        for row in self.touched(1, middle[1]) {
+            // The cells of a row follow each other.
+            let first = row * self.field.columns;
+            let range = self.start[first + columns.start] as usize
+                ..self.start[first + columns.end] as usize;
+            let of = &self.sorted;
+            let mut add = |lane: usize, [x, y, wear, share]: [f64; 4]| {
+                let (x, y) = (x - middle[0], y - middle[1]);
+                let share = if x * x + y * y <= squared { share } else { 0.0 };
+                sums[lane] += share * wear;
+                weights[lane] += share;
+            };
+            let [x, y, wear, share] = [&of.x_mm, &of.y_mm, &of.wear_mm, &of.share]
+                .map(|column| column[range.clone()].as_chunks::<LANES>());
+            for chunk in 0..x.0.len() {
+                let [x, y] = [&x.0[chunk], &y.0[chunk]];
+                let [wear, share] = [&wear.0[chunk], &share.0[chunk]];
+                for lane in 0..LANES {
+                    add(lane, [x[lane], y[lane], wear[lane], share[lane]]);
+                }
+            }
+            for lane in 0..x.1.len() {
+                add(lane, [x.1[lane], y.1[lane], wear.1[lane], share.1[lane]]);
+            }
+        }
+        [sums, weights].map(|lanes| lanes.iter().sum())
     }
 
     /// Standard uncertainty of the mean over the disc about `middle` by where its points happen to lie, mm: on an edge of damage
@@ -228,12 +279,11 @@ impl<'a> Discs<'a> {
             return None;
         }
         let [columns, rows] = [0, 1].map(|axis| self.lattice(axis, STEPS_PER_CELL));
-        let mut tried: Vec<(f64, [f64; 2])> = Vec::with_capacity(columns.len() * rows.len());
-        for &y in &rows {
-            for &x in &columns {
-                tried.push((self.mean_mm([x, y], 1.0), [x, y]));
-            }
-        }
+        let of_row = |&y: &f64| {
+            let middles = columns.iter().map(move |&x| [x, y]);
+            middles.map(|middle| (self.mean_mm(middle, 1.0), middle))
+        };
+        let mut tried: Vec<(f64, [f64; 2])> = rows.par_iter().flat_map_iter(of_row).collect();
         let loss = self.highest(tried.clone(), 1.0)?;
         for (mean, _) in &mut tried {
             *mean = -*mean;
@@ -373,23 +423,18 @@ impl<'a> Discs<'a> {
             })
             .filter(|(_, of)| of.iter().any(|mean| mean.is_finite()))
             .collect();
-        let deviates = &*DEVIATES;
+        let groups = (0..DRAWS.div_ceil(LANES)).into_par_iter().map(|group| {
+            with_widest(
+                #[inline(always)]
+                || padded.most_by_noise(&sigma, group * LANES, &rivals, noise_scale as f32),
+            )
+        });
+        let groups: Vec<_> = groups.collect();
         let mut lifts = [[[0.0_f64; 2]; DRAWS]; 2];
-        let mut noise = vec![0.0_f32; sigma.len()];
         for draw in 0..DRAWS {
-            for (i, noise) in noise.iter_mut().enumerate() {
-                *noise = sigma[i] * deviates[(draw * sigma.len() + i) % deviates.len()];
-            }
-            let mut most = [[f32::NEG_INFINITY; 2]; 2];
-            for &(at, means) in &rivals {
-                let of_noise = padded.mean(&noise, at);
-                let scaled = noise_scale as f32 * of_noise;
-                for (most, mean) in most.iter_mut().zip(means) {
-                    *most = [most[0].max(mean + of_noise), most[1].max(mean + scaled)];
-                }
-            }
             for side in 0..2 {
-                lifts[side][draw] = most[side].map(|m| f64::from(m - largest[side]));
+                let most = groups[draw / LANES][side].map(|lanes| lanes[draw % LANES]);
+                lifts[side][draw] = most.map(|most| f64::from(most - largest[side]));
             }
         }
         lifts.map(|lifts| {
@@ -533,6 +578,45 @@ impl Padded {
             .iter()
             .map(|&(step, share)| share * cell(step))
             .sum()
+    }
+
+    /// The largest mean of any rival in each of so many draws of noise from `first_draw` on, by side: with the noise as stated, and scaled.
+    #[inline(always)]
+    fn most_by_noise(
+        &self,
+        sigma: &[f32],
+        first_draw: usize,
+        rivals: &[(usize, [f32; 2])],
+        noise_scale: f32,
+    ) -> [[[f32; LANES]; 2]; 2] {
+        let deviates = &*DEVIATES;
+        let mut noise = vec![[0.0_f32; LANES]; sigma.len()];
+        for lane in 0..LANES {
+            let first = (first_draw + lane) * sigma.len();
+            for (i, noise) in noise.iter_mut().enumerate() {
+                noise[lane] = sigma[i] * deviates[(first + i) % deviates.len()];
+            }
+        }
+        let mut most = [[[f32::NEG_INFINITY; LANES]; 2]; 2];
+        for &(at, means) in rivals {
+            let mut of_noise = [0.0_f32; LANES];
+            for &(step, share) in &self.steps {
+                let cell = &noise[at.wrapping_add_signed(step)];
+                for lane in 0..LANES {
+                    of_noise[lane] += share * cell[lane];
+                }
+            }
+            for side in 0..2 {
+                for (k, scale) in [1.0, noise_scale].into_iter().enumerate() {
+                    let most = &mut most[side][k];
+                    for lane in 0..LANES {
+                        let mean = means[side] + scale * of_noise[lane];
+                        most[lane] = if mean > most[lane] { mean } else { most[lane] };
+                    }
+                }
+            }
+        }
+        most
     }
 }
 

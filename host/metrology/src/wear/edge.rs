@@ -27,18 +27,21 @@ pub(super) struct UnderEdge {
 
 impl UnderEdge {
     /// Place of a point; none unless it lies under the nearer flank, by no more than the width of the band.
-    pub fn at_point(gear: &GearData, point: [f64; 3]) -> Option<Self> {
-        let tooth = gear.tooth_at(point[1].atan2(point[0]));
-        let deviation = |flank| gear.involute_deviation_mm(tooth, flank, point);
-        let (flank, deviation_mm) = Flank::BOTH
-            .into_iter()
-            .filter_map(|flank| Some((flank, deviation(flank)?)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        (-BAND_MM..0.0).contains(&deviation_mm).then(|| Self {
+    pub fn at_point(gear: &GearData, [x, y, z]: [f64; 3]) -> Option<Self> {
+        let (radius_mm, angle_rad) = (x.hypot(y), y.atan2(x));
+        let tooth = gear.tooth_at(angle_rad);
+        let from_centre_rad = gear.from_tooth_centre_rad(tooth, angle_rad);
+        let flank = match from_centre_rad > 0.0 {
+            true => Flank::Left,
+            false => Flank::Right,
+        };
+        let beyond_rad = from_centre_rad.abs() - gear.half_tooth_rad(radius_mm)?;
+        let deviation_mm = gear.base_radius_mm() * beyond_rad;
+        (-BAND_MM..0.0).contains(&deviation_mm).then_some(Self {
             tooth,
             flank,
-            radius_mm: point[0].hypot(point[1]),
-            height_mm: point[2],
+            radius_mm,
+            height_mm: z,
             deviation_mm,
         })
     }

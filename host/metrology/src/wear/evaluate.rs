@@ -4,10 +4,11 @@ use flankscope_foundation::order::median_of;
 use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
+use super::edge::{self, UnderEdge};
 use super::field::{Field, WearSample};
 use super::sensitivity::motion_row;
 use super::sight::{RayCounts, Visibility};
-use super::{FlankWear, Measured, WearSettings, Zone, edge};
+use super::{FlankWear, Measured, WearSettings, Zone};
 use crate::feature::Features;
 use crate::gear::{Flank, FlankPlace};
 use crate::registration::Registration;
@@ -33,7 +34,7 @@ pub fn places<'a>(
 ) -> Vec<Option<FlankPlace>> {
     // The place is that of the CAD point, not of the measured one: wear must not move a point out of its zone.
     let features = features.into();
-    closest.iter().map(|c| features.place(c)).collect()
+    closest.par_iter().map(|c| features.place(c)).collect()
 }
 
 /// Evaluates all sides of each of `teeth`, which number a gear's teeth or a tool's patches.
@@ -70,7 +71,7 @@ pub fn evaluate_placed<'a>(
         zone.height_mm[1] - zone.height_mm[0],
     ];
     let empty = Field::unmeasured(size_mm, settings.cell_mm());
-    let mut grids: Vec<Grid> = teeth
+    let grids: Vec<Grid> = teeth
         .iter()
         .flat_map(|&tooth| features.sides().iter().map(move |&flank| (tooth, flank)))
         .map(|(tooth, flank)| Grid {
@@ -91,83 +92,94 @@ pub fn evaluate_placed<'a>(
             place.height_mm - zone.height_mm[0],
         ]
     };
-
-    let points = measured.points.iter().zip(measured.closest);
-    for (index, ((point, closest), place)) in points.zip(places).enumerate() {
-        let Some(place) = place else {
-            if let Some(gear) = features.gear()
-                && let Some(under) = edge::UnderEdge::at_point(gear, *point)
-                && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
-                && let Some(grid) = grids
-                    .iter_mut()
-                    .find(|g| (g.tooth, g.flank) == (under.tooth, under.flank))
-                && let Some(edge) = &mut grid.edge
-            {
-                edge.add_under(gear, &under);
-            }
-            continue;
-        };
-        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
-        let Some(grid) = grids.iter_mut().find(wanted) else {
-            continue;
-        };
-        let at_mm = in_zone(place);
-        if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite() {
-            continue;
-        }
-        let wear_mm = -closest.signed_distance_mm;
-        if let Some(edge) = &mut grid.edge {
-            edge.add(place, wear_mm);
-        }
-        let Some(cell) = grid.empty.cell_at(at_mm) else {
-            continue;
-        };
-        if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
-            counts.points[cell] += 1;
-            counts.light[cell] += sight.light.get(index).map_or(0.0, |&e| f64::from(e));
-            // A sum here; divided by the number of points below.
-            counts.slant += sight.slant(*point, closest);
-        }
-        let sigma = measured
-            .sigma_mm
-            .and_then(|s| s.get(index))
-            .map_or(f64::NAN, |&s| f64::from(s));
-        let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
-        grid.samples.push(sample);
-        let (sum, count) = &mut grid.motions[cell];
-        *sum += motion_row(*point, closest.normal, centre);
-        *count += 1;
-    }
-    if let Some(sight) = measured.sight {
-        let mut count = |met: &[FlankPlace], [dark, undecoded]: [u32; 2]| {
-            for place in met {
-                let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
-                if let Some(grid) = grids.iter_mut().find(wanted)
-                    && let Some(cell) = grid.empty.cell_at(in_zone(place))
-                    && let Some(counts) = &mut grid.counts
-                {
-                    counts.rays[cell] += 1;
-                    counts.dark[cell] += dark;
-                    counts.undecoded[cell] += undecoded;
-                }
-            }
-        };
-        count(&sight.ray_places(features, measured, places), [0, 0]);
-        count(&sight.places_along(features, sight.dark), [1, 0]);
-        count(&sight.places_along(features, sight.undecoded), [0, 1]);
-    }
-    for grid in &mut grids {
-        if let Some(counts) = &mut grid.counts {
-            counts.slant /= grid.samples.len().max(1) as f64;
-        }
-    }
+    let points = measured.points.par_iter().zip(places);
+    let under_edges: Vec<Option<UnderEdge>> = points
+        .map(|(point, place)| match (place, features.gear()) {
+            (None, Some(gear)) => UnderEdge::at_point(gear, *point),
+            _ => None,
+        })
+        .collect();
+    let rays = measured.sight.map(|sight| {
+        [
+            (sight.ray_places(features, measured, places), [0, 0]),
+            (sight.places_along(features, sight.dark), [1, 0]),
+            (sight.places_along(features, sight.undecoded), [0, 1]),
+        ]
+    });
+    // Every grid takes its own points, in their order: the same sums on any number of threads.
     grids
         .into_par_iter()
-        .map(|grid| grid.wear(features, registration, settings))
+        .map(|mut grid| {
+            let points = measured.points.iter().zip(measured.closest).enumerate();
+            for ((index, (point, closest)), (place, under)) in
+                points.zip(places.iter().zip(&under_edges))
+            {
+                let Some(place) = place else {
+                    if let (Some(gear), Some(under)) = (features.gear(), under)
+                        && grid.is_of(under.tooth, under.flank)
+                        && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
+                        && let Some(edge) = &mut grid.edge
+                    {
+                        edge.add_under(gear, under);
+                    }
+                    continue;
+                };
+                if !grid.is_of(place.tooth, place.flank) {
+                    continue;
+                }
+                let at_mm = in_zone(place);
+                if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite()
+                {
+                    continue;
+                }
+                let wear_mm = -closest.signed_distance_mm;
+                if let Some(edge) = &mut grid.edge {
+                    edge.add(place, wear_mm);
+                }
+                let Some(cell) = grid.empty.cell_at(at_mm) else {
+                    continue;
+                };
+                if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
+                    counts.points[cell] += 1;
+                    counts.light[cell] += sight.light.get(index).map_or(0.0, |&e| f64::from(e));
+                    // A sum here; divided by the number of points below.
+                    counts.slant += sight.slant(*point, closest);
+                }
+                let sigma = measured
+                    .sigma_mm
+                    .and_then(|s| s.get(index))
+                    .map_or(f64::NAN, |&s| f64::from(s));
+                let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
+                grid.samples.push(sample);
+                let (sum, count) = &mut grid.motions[cell];
+                *sum += motion_row(*point, closest.normal, centre);
+                *count += 1;
+            }
+            for (met, [dark, undecoded]) in rays.iter().flatten() {
+                for place in met {
+                    if grid.is_of(place.tooth, place.flank)
+                        && let Some(cell) = grid.empty.cell_at(in_zone(place))
+                        && let Some(counts) = &mut grid.counts
+                    {
+                        counts.rays[cell] += 1;
+                        counts.dark[cell] += dark;
+                        counts.undecoded[cell] += undecoded;
+                    }
+                }
+            }
+            if let Some(counts) = &mut grid.counts {
+                counts.slant /= grid.samples.len().max(1) as f64;
+            }
+            grid.wear(features, registration, settings)
+        })
         .collect()
 }
 
 impl Grid {
+    fn is_of(&self, tooth: u32, flank: Flank) -> bool {
+        (self.tooth, self.flank) == (tooth, flank)
+    }
+
     fn wear(
         self,
         features: Features<'_>,

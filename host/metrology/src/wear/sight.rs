@@ -11,6 +11,7 @@
 //! smooth the points are that were.
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 use super::Measured;
 use super::field::Field;
@@ -63,7 +64,7 @@ impl Sight<'_> {
         places: &[Option<FlankPlace>],
     ) -> Vec<FlankPlace> {
         let features = features.into();
-        let points = measured.points.iter().zip(measured.closest);
+        let points = measured.points.par_iter().zip(measured.closest);
         let of_points = points.zip(places).filter_map(|((point, closest), place)| {
             self.of_point(features, *point, closest, *place)
         });
@@ -78,7 +79,7 @@ impl Sight<'_> {
     ) -> Vec<FlankPlace> {
         let features = features.into();
         directions
-            .iter()
+            .par_iter()
             .filter_map(|direction| self.first_met(features, Vector3::from(*direction)))
             .collect()
     }

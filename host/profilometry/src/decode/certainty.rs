@@ -2,6 +2,8 @@
 
 use std::f32::consts::{PI, TAU};
 
+use rayon::prelude::*;
+
 use super::cell::{CellResult, Fate};
 
 /// Largest standard uncertainty of a depth in turns of the finest phase. A phase of noise alone has 0.29 (uniform over the turn).
@@ -25,10 +27,10 @@ fn phase_sigma_rad(linear_rad: f32) -> f32 {
 /// Gives every depth the uncertainty of its phase, and drops those above [`MAX_TURNS`] or the limit.
 pub(super) fn keep_certain(results: &mut [CellResult], max_sigma_z_mm: Option<f64>) {
     let limit_mm = max_sigma_z_mm.map_or(f32::INFINITY, |limit| limit as f32);
-    for result in results
-        .iter_mut()
-        .filter(|result| result.fate == Fate::Point)
-    {
+    let points = results
+        .par_iter_mut()
+        .filter(|result| result.fate == Fate::Point);
+    points.for_each(|result| {
         let linear_rad = result.sigma_z_mm / result.turn_mm * TAU;
         result.sigma_z_mm = phase_sigma_rad(linear_rad) / TAU * result.turn_mm;
         // Written so that a NaN fails.
@@ -37,7 +39,7 @@ pub(super) fn keep_certain(results: &mut [CellResult], max_sigma_z_mm: Option<f6
         if !certain {
             result.reject(Fate::UncertainDepth);
         }
-    }
+    });
 }
 
 #[cfg(test)]

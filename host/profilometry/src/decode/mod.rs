@@ -28,6 +28,7 @@ use crate::frame::FrameKind;
 use crate::head::{DepthRange, HeadModel, Pinhole, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
+use crate::phase::smoothing::CellPlane;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
 use flankscope_foundation::order::median;
@@ -63,6 +64,7 @@ pub struct Decoder {
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
+    plane: CellPlane,
     /// Orders of the finest frequency that the set tells apart.
     orders: usize,
     /// Decoded Gray code, if the patterns have one.
@@ -149,6 +151,7 @@ impl Decoder {
         }
         let triangulator = Triangulator::new(head, patterns.axis);
         let rays = rays(head, patterns, all_orders, &grid, &triangulator)?;
+        let plane = CellPlane::new(&grid);
         let finest = patterns.finest();
         let origin_rad = |set: &FringeSet| {
             let apart_px = set.phase_origin_px - finest.phase_origin_px;
@@ -215,6 +218,7 @@ impl Decoder {
             projector_width_px,
             volume: head.volume,
             rays,
+            plane,
             orders,
             code,
             origins_rad,
@@ -303,12 +307,24 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
-        let mut decoded = self.collect(&results, fringes_dn.as_deref());
-        decoded.cloud.light = self.light(accumulator, second, &results);
+        let (mut decoded, ((light, medians), contrast)) = rayon::join(
+            || self.collect(&results, fringes_dn.as_deref()),
+            || {
+                rayon::join(
+                    || {
+                        let light = self.light(accumulator, second, &results);
+                        let medians = LightMedians::from_points(&light);
+                        (light, medians)
+                    },
+                    || self.contrasts(accumulator, &results),
+                )
+            },
+        );
+        decoded.cloud.light = light;
         Ok(Decoded {
             frame_noise_ratio,
-            contrast: self.contrasts(accumulator, &results),
-            light: LightMedians::from_points(&decoded.cloud.light),
+            contrast,
+            light: medians,
             projectors,
             ..decoded
         })
@@ -322,7 +338,7 @@ impl Decoder {
             .map(|options| mask::fringe_deviations_dn(accumulator, options.smoothing_px));
         let view = self.condition(accumulator);
         let mut results = self.depths(&view);
-        let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
+        let around = Neighbourhood::new(&self.layout.grid, &self.plane, self.smoothing_cells());
         around.judge_exposures(&mut results, &self.disagreements(&view));
         around.judge_orders(&mut results, self.options.order_consistency);
         around.raise_to_frames(&mut results, &self.frame_scatter(&view));

@@ -4,6 +4,8 @@
 //! the column, and as scatter between neighbours. Both are averaged over some cells about each and compared with the
 //! prediction.
 
+use rayon::prelude::*;
+
 use super::cell::{CellResult, Fate};
 use super::options::OrderConsistency;
 use crate::cells::{CellGrid, Grid};
@@ -12,7 +14,7 @@ use crate::phase::smoothing::{Blur, CellPlane};
 /// Averaging over cells.
 pub(super) struct Neighbourhood<'a> {
     grid: &'a Grid,
-    plane: CellPlane<'a>,
+    plane: &'a CellPlane,
     /// Sigma of the Gaussian over the coarser phasors, or a cell where there is none.
     unit_cells: f64,
     /// Variance of a cell's difference from the mean of its two neighbours, in variances of a cell.
@@ -41,8 +43,8 @@ const UNEVEN_RATIO: f64 = 0.05;
 pub(super) type Values = Vec<Option<f32>>;
 
 impl<'a> Neighbourhood<'a> {
-    /// `smoothing_cells`: of the finest fringes and of the coarser ones.
-    pub fn new(grid: &'a Grid, smoothing_cells: [f64; 2]) -> Self {
+    /// `plane` is the grid's; `smoothing_cells`: of the finest fringes and of the coarser ones.
+    pub fn new(grid: &'a Grid, plane: &'a CellPlane, smoothing_cells: [f64; 2]) -> Self {
         // Neighbours that were smoothed together continue each other the better.
         let correlation = |cells| {
             let smoothed = Blur::new(smoothing_cells[0]);
@@ -50,7 +52,7 @@ impl<'a> Neighbourhood<'a> {
         };
         Self {
             grid,
-            plane: CellPlane::new(grid),
+            plane,
             unit_cells: smoothing_cells[1].max(1.0),
             bend_variance: 1.5 + 0.5 * correlation(2) - 2.0 * correlation(1),
         }
@@ -62,11 +64,12 @@ impl<'a> Neighbourhood<'a> {
             return;
         }
         let around = self.mean(|cell| found[cell], NEAR_UNITS);
-        for (result, apart) in results.iter_mut().zip(around) {
+        let judged = results.par_iter_mut().zip(around);
+        judged.for_each(|(result, apart)| {
             if result.fate == Fate::Point && apart > APART_VARIANCES {
                 result.reject(Fate::ExposuresDisagree);
             }
-        }
+        });
     }
 
     /// Drops cells about which the frequencies disagree so much, whatever their noise should be, that the order is not sure.
@@ -89,8 +92,9 @@ impl<'a> Neighbourhood<'a> {
             || self.means(|cell| missed(&results[cell]), NEAR_UNITS),
             || self.mean(|cell| agreed(&results[cell]), WIDE_UNITS),
         );
-        let around = missed.iter().zip(&predicted).zip(&agreed);
-        for (result, ((missed, predicted), agreed)) in results.iter_mut().zip(around) {
+        let around = missed.par_iter().zip(&predicted).zip(&agreed);
+        let judged = results.par_iter_mut().zip(around);
+        judged.for_each(|(result, ((missed, predicted), agreed))| {
             // By the noise measured about it, and whatever a bright cell's own is: by how far its neighbours miss.
             let variances = (missed / predicted.max(f32::MIN_POSITIVE)).max(1.0);
             let separation = result.separation / variances.sqrt();
@@ -99,7 +103,7 @@ impl<'a> Neighbourhood<'a> {
             if asked(result) && result.fate == Fate::Point && !sure {
                 result.reject(Fate::Disagreeing);
             }
-        }
+        });
     }
 
     /// Raises uncertainties to the scatter of the frames about each cell, in predicted variances.
@@ -108,11 +112,12 @@ impl<'a> Neighbourhood<'a> {
             return;
         }
         let around = self.mean(|cell| found[cell], NEAR_UNITS);
-        for (result, variance) in results.iter_mut().zip(around) {
+        let raised = results.par_iter_mut().zip(around);
+        raised.for_each(|(result, variance)| {
             if variance > CHANCE_VARIANCES {
                 result.sigma_z_mm *= variance.sqrt();
             }
-        }
+        });
     }
 
     /// Raises uncertainties to what frequencies and neighbours show.
@@ -136,12 +141,15 @@ impl<'a> Neighbourhood<'a> {
         let of = |variances: &Option<Vec<f32>>, cell: usize| {
             variances.as_ref().map_or(0.0, |variances| variances[cell])
         };
-        for (cell, result) in results.iter_mut().enumerate() {
-            let variance = of(&frequencies, cell).max(of(&neighbours, cell));
-            if variance > CHANCE_VARIANCES {
-                result.sigma_z_mm *= variance.sqrt();
-            }
-        }
+        results
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(cell, result)| {
+                let variance = of(&frequencies, cell).max(of(&neighbours, cell));
+                if variance > CHANCE_VARIANCES {
+                    result.sigma_z_mm *= variance.sqrt();
+                }
+            });
     }
 
     /// Squares of how far a depth lies from the mean of its neighbours in the row, in predicted variances. A surface is straight
@@ -166,7 +174,7 @@ impl<'a> Neighbourhood<'a> {
     }
 
     fn mean(&self, value: impl Fn(usize) -> Option<f32> + Sync, units: f64) -> Vec<f32> {
-        self.plane.mean(value, units * self.unit_cells)
+        self.plane.mean(self.grid, value, units * self.unit_cells)
     }
 
     fn means<const N: usize>(
@@ -174,7 +182,7 @@ impl<'a> Neighbourhood<'a> {
         values: impl Fn(usize) -> Option<[f32; N]> + Sync,
         units: f64,
     ) -> [Vec<f32>; N] {
-        self.plane.means(values, units * self.unit_cells)
+        self.plane.means(self.grid, values, units * self.unit_cells)
     }
 }
 

@@ -33,5 +33,9 @@ pub(crate) fn fringe_deviations_dn(accumulator: &Accumulator, smoothing_px: f64)
     let raw = bands.flat_map(|band| (0..band.cells).map(move |cell| deviation(band, cell)));
     let raw: Vec<f32> = raw.collect();
     let pitch_px = layout.grid.pitch_px().max(1.0);
-    CellPlane::new(&layout.grid).mean(|cell| Some(raw[cell]), smoothing_px / pitch_px)
+    CellPlane::new(&layout.grid).mean(
+        &layout.grid,
+        |cell| Some(raw[cell]),
+        smoothing_px / pitch_px,
+    )
 }

@@ -200,8 +200,8 @@ fn sparse(grid: &CellGrid, plane: &[f32]) -> Vec<f32> {
 
 /// Cells laid into a plane, for means over those about each: blocks as they lie, cores into squares of a core's pitch, which
 /// hold one each, more or less. The plane ends where the cells do.
-pub(crate) struct CellPlane<'a> {
-    grid: &'a Grid,
+#[derive(Clone, Debug)]
+pub(crate) struct CellPlane {
     columns: usize,
     rows: usize,
     /// First column of blocks that has any.
@@ -210,8 +210,8 @@ pub(crate) struct CellPlane<'a> {
     squares: Vec<u32>,
 }
 
-impl<'a> CellPlane<'a> {
-    pub fn new(grid: &'a Grid) -> Self {
+impl CellPlane {
+    pub fn new(grid: &Grid) -> Self {
         let cores = match grid {
             Grid::Blocks(blocks) => {
                 let spans = (0..blocks.rows).map(|row| blocks.span(row));
@@ -219,7 +219,6 @@ impl<'a> CellPlane<'a> {
                 let left = spans.iter().map(|span| span.begin).min().unwrap_or(0);
                 let right = spans.iter().map(|span| span.end).max().unwrap_or(0);
                 return Self {
-                    grid,
                     columns: right - left,
                     rows: blocks.rows,
                     left,
@@ -239,7 +238,6 @@ impl<'a> CellPlane<'a> {
         let ((left, columns), (top, rows)) = (size(0), size(1));
         let place = |[column, row]: &[usize; 2]| ((row - top) * columns + column - left) as u32;
         Self {
-            grid,
             columns,
             rows,
             left: 0,
@@ -248,42 +246,50 @@ impl<'a> CellPlane<'a> {
     }
 
     /// Gaussian mean about each cell over the cells that have a value, sigma in cells; 0 where none has.
-    pub fn mean(&self, value: impl Fn(usize) -> Option<f32> + Sync, sigma_cells: f64) -> Vec<f32> {
-        let [mean] = self.means(|cell| value(cell).map(|value| [value]), sigma_cells);
+    pub fn mean(
+        &self,
+        grid: &Grid,
+        value: impl Fn(usize) -> Option<f32> + Sync,
+        sigma_cells: f64,
+    ) -> Vec<f32> {
+        let [mean] = self.means(grid, |cell| value(cell).map(|value| [value]), sigma_cells);
         mean
     }
 
     /// The same of several figures that the same cells have.
     pub fn means<const N: usize>(
         &self,
+        grid: &Grid,
         values: impl Fn(usize) -> Option<[f32; N]> + Sync,
         sigma_cells: f64,
     ) -> [Vec<f32>; N] {
         let Some(blur) = Blur::new(sigma_cells) else {
             let own = |at: usize| {
                 let value = |cell| values(cell).map_or(0.0, |values| values[at]);
-                (0..self.grid.len()).map(value).collect()
+                (0..grid.len()).map(value).collect()
             };
             return std::array::from_fn(own);
         };
         // The last plane holds the weights.
         let plane = |at: usize| {
             let of = |values: [f32; N]| values.get(at).copied().unwrap_or(1.0);
-            let mut plane = self.lay(|cell| values(cell).map_or(0.0, of));
+            let mut plane = self.lay(grid, |cell| values(cell).map_or(0.0, of));
             blur.apply(&mut plane, self.columns);
             plane
         };
         let planes: Vec<Vec<f32>> = (0..=N).into_par_iter().map(plane).collect();
         let mean = |at: usize| {
             let (sums, weights) = (&planes[at], &planes[N]);
-            self.take(|place| sums[place] / weights[place].max(f32::MIN_POSITIVE))
+            self.take(grid, |place| {
+                sums[place] / weights[place].max(f32::MIN_POSITIVE)
+            })
         };
         std::array::from_fn(mean)
     }
 
-    fn lay(&self, value: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
+    fn lay(&self, grid: &Grid, value: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
         let mut plane = vec![0.0; self.columns * self.rows];
-        match self.grid {
+        match grid {
             Grid::Blocks(grid) => {
                 let rows = plane.par_chunks_mut(self.columns.max(1)).enumerate();
                 rows.for_each(|(row, places)| {
@@ -303,8 +309,8 @@ impl<'a> CellPlane<'a> {
     }
 
     /// A figure of every cell by its place in the plane.
-    fn take(&self, of: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
-        match self.grid {
+    fn take(&self, grid: &Grid, of: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
+        match grid {
             Grid::Blocks(grid) => {
                 let mut cells = Vec::with_capacity(grid.len());
                 for row in 0..grid.rows {
