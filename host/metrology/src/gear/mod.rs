@@ -234,7 +234,7 @@ impl GearData {
     }
 
     /// Angle from the centre of a tooth, rad, within half a turn.
-    pub(crate) fn from_tooth_centre_rad(&self, tooth: u32, angle_rad: f64) -> f64 {
+    pub(crate) fn beside_tooth_centre_rad(&self, tooth: u32, angle_rad: f64) -> f64 {
         wrapped(angle_rad - self.tooth_centre_rad(tooth))
     }
 
@@ -296,7 +296,7 @@ impl GearData {
     /// involute by an angle moves it by that angle times the base radius along every normal.
     pub fn involute_deviation_mm(&self, tooth: u32, flank: Flank, point: [f64; 3]) -> Option<f64> {
         let radius = point[0].hypot(point[1]);
-        let from_centre = self.from_tooth_centre_rad(tooth, point[1].atan2(point[0]));
+        let from_centre = self.beside_tooth_centre_rad(tooth, point[1].atan2(point[0]));
         let beyond = flank.sign() * from_centre - self.half_tooth_rad(radius)?;
         Some(self.base_radius_mm() * beyond)
     }

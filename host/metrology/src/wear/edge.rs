@@ -30,12 +30,12 @@ impl UnderEdge {
     pub fn at_point(gear: &GearData, [x, y, z]: [f64; 3]) -> Option<Self> {
         let (radius_mm, angle_rad) = (x.hypot(y), y.atan2(x));
         let tooth = gear.tooth_at(angle_rad);
-        let from_centre_rad = gear.from_tooth_centre_rad(tooth, angle_rad);
-        let flank = match from_centre_rad > 0.0 {
+        let beside_centre_rad = gear.beside_tooth_centre_rad(tooth, angle_rad);
+        let flank = match beside_centre_rad > 0.0 {
             true => Flank::Left,
             false => Flank::Right,
         };
-        let beyond_rad = from_centre_rad.abs() - gear.half_tooth_rad(radius_mm)?;
+        let beyond_rad = beside_centre_rad.abs() - gear.half_tooth_rad(radius_mm)?;
         let deviation_mm = gear.base_radius_mm() * beyond_rad;
         (-BAND_MM..0.0).contains(&deviation_mm).then_some(Self {
             tooth,
