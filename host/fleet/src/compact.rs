@@ -193,9 +193,7 @@ async fn make_sums(
             Err(error) => return Err(error.into()),
         }
     }
-    // They are sorted.
-    let is_of = |file: &&Listed| day.files.binary_search(&&file.name).is_ok();
-    let of_day = files.iter().filter(is_of);
+    let of_day = files.iter().filter(|file| day.has(&file.name));
     let bytes = of_rows(lake, of_day.cloned().collect()).await?;
     let name = SumsName::new(date, &day.source, &bytes);
     lake.put(&name.to_string(), bytes).await?;

@@ -86,10 +86,18 @@ fn digits(digest: &blake3::Hash) -> String {
 /// A day of a lake.
 #[derive(Debug)]
 pub struct Day<'a> {
-    /// Its files that count, of all stations.
+    /// Its files that count, of all stations, sorted.
     pub files: Vec<&'a FileName>,
     /// Digest of what its sums are made of.
     pub source: String,
+}
+
+impl Day<'_> {
+    /// Whether a file is one of its files.
+    #[must_use]
+    pub fn has(&self, name: &FileName) -> bool {
+        self.files.binary_search(&name).is_ok()
+    }
 }
 
 /// The days of the files that count.

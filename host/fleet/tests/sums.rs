@@ -7,13 +7,15 @@ mod made_up;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use std::time::Duration;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
 
 use flankscope_fleet::compact::{Compacted, Compaction, compact};
 use flankscope_fleet::lake::Lake;
 use flankscope_fleet::query::{Form, ask, questions};
 use flankscope_fleet::rows::{LakeCheck, Level, Value as LakeValue, columns_of};
 use flankscope_fleet::sums::{SumsName, days};
+use flankscope_fleet::verify::{Finding, Verifier};
 use flankscope_test_requisites::{Random, everything};
 use histories::{Station, fleet, run};
 use jiff::Timestamp;
@@ -405,4 +407,62 @@ fn a_day_whose_files_change_is_read_by_rows_until_its_sums_are_made_anew() {
     let by_sums = answers(&lake);
     std::fs::remove_dir_all(folder.path().join(SumsName::FOLDER)).unwrap();
     assert_all_same(&answers(&lake), &by_sums, "after days were given up");
+}
+
+#[test]
+fn sums_that_nobody_summed_up_are_found_by_verify() {
+    let (folder, lake, _) = summed();
+    let found = || run(Verifier::new(&lake, &[]).run(None)).unwrap().findings;
+    assert_eq!(found(), Vec::new());
+    let names = valid(&lake);
+    // The sums of another day, with a right name.
+    let bytes = std::fs::read(path(&folder, &names[1])).unwrap();
+    let forged = SumsName::new(&names[0].date, &names[0].source, &bytes);
+    std::fs::remove_file(path(&folder, &names[0])).unwrap();
+    std::fs::write(path(&folder, &forged), &bytes).unwrap();
+    std::fs::write(path(&folder, &names[2]), &bytes).unwrap();
+    let is_found = |finding: &Finding| match finding {
+        Finding::Sums { name, why } => (name.clone(), *why),
+        other => panic!("{other}"),
+    };
+    let expected = [
+        (forged, "its sums are not those of the rows"),
+        (names[2].clone(), "it was cut short or edited"),
+    ];
+    assert_eq!(found().iter().map(is_found).collect::<Vec<_>>(), expected);
+}
+
+#[test]
+fn a_compaction_that_is_killed_leaves_whole_sums_or_none() {
+    let (folder, lake, rows) = summed();
+    let station = Station::new("compacts");
+    let arguments = ["compact", "--lake", folder.path().to_str().unwrap()];
+    let mut random = Random(41);
+    let begun = Instant::now();
+    let renew = || std::fs::remove_dir_all(folder.path().join(SumsName::FOLDER)).unwrap();
+    renew();
+    assert!(fleet!(station, &arguments).status().unwrap().success());
+    let whole_time = begun.elapsed();
+    let mut left: BTreeSet<usize> = BTreeSet::new();
+    for kill in 0..if everything() { 100 } else { 12 } {
+        renew();
+        let mut process = fleet!(station, &arguments)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(whole_time.mul_f64(random.uniform()));
+        process.kill().unwrap();
+        process.wait().unwrap();
+        let names = valid(&lake);
+        for name in &names {
+            assert!(run(lake.read_sums(name)).unwrap().is_some(), "{name}");
+        }
+        left.insert(names.len());
+        std::fs::create_dir_all(folder.path().join(SumsName::FOLDER)).unwrap();
+        let (rows, now) = (rows["changes"].clone(), answer(&lake, "changes"));
+        assert_same(&rows.into(), &now.into(), &format!("kill {kill}"));
+    }
+    assert!(left.len() > 1, "killed between days: {left:?}");
+    assert!(fleet!(station, &arguments).status().unwrap().success());
+    assert_eq!(valid(&lake).len(), DAYS_DRAWN as usize);
 }
