@@ -8,6 +8,8 @@
 //!    and was read again and found to have the same checks.
 //! 3. What is given up is first marked ([`Retired`]), then removed. What is marked does not count.
 //!
+//! 4. Sums of days ([`sums`](crate::sums)) whose files changed are removed, and made anew where this build has the engine.
+//!
 //! A kill between any two steps leaves work that the next run finds by itself. Files are joined within fixed ranges of
 //! [`JOINED_CHECKS`] numbers, so that two runs at a time join the same or nested ranges.
 
@@ -21,8 +23,13 @@ use jiff::{Span, Timestamp};
 use crate::file::{FileError, LakeFile};
 use crate::lake::{Lake, LakeError, Listed};
 use crate::name::{Cover, FileName, Range, cover};
+#[cfg(feature = "query")]
+use crate::query::{QueryError, sums::of_rows};
 use crate::retired::{Retired, first_kept, kept};
 use crate::rows::Stream;
+#[cfg(feature = "query")]
+use crate::sums::Day;
+use crate::sums::{SumsName, days};
 
 /// Most checks of a joined file: four days of a check every three minutes, less where the day changes.
 pub const JOINED_CHECKS: i64 = 2048;
@@ -34,6 +41,9 @@ pub enum CompactError {
     Lake(#[from] LakeError),
     #[error("the rows cannot be written: {0}")]
     File(#[from] FileError),
+    #[cfg(feature = "query")]
+    #[error("the sums of a day cannot be made: {0}")]
+    Sums(#[from] QueryError),
 }
 
 /// What is compacted.
@@ -78,6 +88,9 @@ pub struct Compacted {
     pub removed: u64,
     /// Files removed because they were given up.
     pub retired: u64,
+    /// Days whose sums were made, and files of sums that were removed because they stand for nothing any more.
+    pub summed: u64,
+    pub sums_removed: u64,
     /// Files left alone, and why.
     pub left: Vec<(FileName, String)>,
 }
@@ -89,7 +102,7 @@ pub struct Compacted {
 pub async fn compact(lake: &Lake, what: &Compaction) -> Result<Compacted, CompactError> {
     let mut done = Compacted::default();
     if let Some(folder) = lake.folder() {
-        remove_unfinished(folder, what.grace);
+        remove_unfinished(folder, folder, what.grace);
     }
     let listing = lake.list(None).await?;
     let mut retired = listing.retired;
@@ -121,7 +134,71 @@ pub async fn compact(lake: &Lake, what: &Compaction) -> Result<Compacted, Compac
     for run in runs(current, what.join_before) {
         join(lake, &run, &mut done).await?;
     }
+    renew_sums(lake, what, &mut done).await?;
     Ok(done)
+}
+
+/// Removes sums that stand for nothing any more, and makes those of days that are over and have none.
+async fn renew_sums(
+    lake: &Lake,
+    what: &Compaction,
+    done: &mut Compacted,
+) -> Result<(), CompactError> {
+    let listing = lake.list(None).await?;
+    let current = listing.cover().current;
+    let mut days = days(&current);
+    for name in &listing.sums {
+        let is_of = days
+            .get(&name.date[..])
+            .is_some_and(|day| day.source == name.source);
+        if is_of && lake.read_sums(name).await?.is_some() {
+            days.remove(&name.date[..]);
+        } else {
+            lake.remove(name).await?;
+            done.sums_removed += 1;
+        }
+    }
+    #[cfg(not(feature = "query"))]
+    let _ = what;
+    #[cfg(feature = "query")]
+    for (date, day) in days {
+        if day
+            .files
+            .iter()
+            .all(|name| is_before(name, what.join_before))
+        {
+            make_sums(lake, (date, day), &listing.files, done).await?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes the sums of a day, if all its files have the rows that their names say.
+#[cfg(feature = "query")]
+async fn make_sums(
+    lake: &Lake,
+    (date, day): (&str, Day<'_>),
+    files: &[Listed],
+    done: &mut Compacted,
+) -> Result<(), CompactError> {
+    for name in &day.files {
+        match lake.read(name).await {
+            Ok(_) => {}
+            Err(LakeError::File { source, .. }) => {
+                if !done.left.iter().any(|(left, _)| left == *name) {
+                    done.left.push(((*name).clone(), source.to_string()));
+                }
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    let of_day = files.iter().filter(|file| day.has(&file.name));
+    let bytes = of_rows(lake, of_day.cloned().collect()).await?;
+    let name = SumsName::new(date, &day.source, &bytes);
+    lake.put(&name.to_string(), bytes).await?;
+    done.summed += 1;
+    Ok(())
 }
 
 /// Marks what is given up: of each history the files before the first one of a day that is kept.
@@ -272,22 +349,28 @@ fn joined(mut whole: LakeFile, part: LakeFile) -> LakeFile {
 
 /// Removes what killed processes had begun to write into a folder: `NAME#1` and the like, which no listing shows. What cannot be
 /// removed is left to the next run.
-fn remove_unfinished(folder: &Path, grace: Duration) {
+fn remove_unfinished(lake: &Path, folder: &Path, grace: Duration) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let Ok(meta) = entry.metadata() else {
             continue;
         };
-        let name = entry.file_name();
-        let number = name.to_str().and_then(|name| name.rsplit_once(".parquet#"));
-        let unfinished = number.is_some_and(|(_, number)| number.parse::<u32>().is_ok());
+        let path = entry.path();
+        let below = path.strip_prefix(lake).ok().and_then(Path::to_str);
+        let number = below.and_then(|below| below.rsplit_once('#'));
+        let unfinished = number.is_some_and(|(name, number)| {
+            let is_of_lake = FileName::parse(name).is_some()
+                || SumsName::parse(name).is_some()
+                || Retired::parse(name).is_some();
+            is_of_lake && number.parse::<u32>().is_ok()
+        });
         let age = meta
             .modified()
             .ok()
             .and_then(|at| SystemTime::now().duration_since(at).ok());
         if meta.is_dir() {
-            remove_unfinished(&entry.path(), grace);
+            remove_unfinished(lake, &path, grace);
         } else if unfinished && age.is_some_and(|age| age >= grace) {
-            let _ = std::fs::remove_file(entry.path());
+            let _ = std::fs::remove_file(path);
         }
     }
 }

@@ -14,6 +14,7 @@ use object_store::{
 use crate::file::{FileError, LakeFile};
 use crate::name::{Cover, FileName, cover};
 use crate::retired::{Retired, kept};
+use crate::sums::SumsName;
 
 /// Why the lake cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -60,6 +61,8 @@ pub struct Listed {
 pub struct Listing {
     pub files: Vec<Listed>,
     pub retired: Vec<Retired>,
+    /// Sums of days, whether or not they are of the files that count now.
+    pub sums: Vec<SumsName>,
     /// Objects that this program does not write.
     pub foreign: Vec<String>,
 }
@@ -163,6 +166,8 @@ impl Lake {
                 });
             } else if let Some(retired) = Retired::parse(below) {
                 found.retired.push(retired);
+            } else if let Some(sums) = SumsName::parse(below) {
+                found.sums.push(sums);
             } else {
                 found.foreign.push(below.to_owned());
             }
@@ -228,6 +233,25 @@ impl Lake {
         })
     }
 
+    /// Reads a day's sums; `None` if they are gone, or their bytes are not those of their name.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub async fn read_sums(&self, name: &SumsName) -> Result<Option<Bytes>, LakeError> {
+        let path = self.path(&name.to_string())?;
+        let bytes = match self.store.get_opts(&path, GetOptions::default()).await {
+            Ok(found) => found.bytes().await?,
+            // A compaction has made others.
+            Err(StoreError::NotFound { .. }) => return Ok(None),
+            Err(error) => return Err(error.into()),
+        };
+        let whole = name.is_of(&bytes);
+        if !whole {
+            tracing::warn!("{name} was cut short or edited: it is not believed");
+        }
+        Ok(whole.then_some(bytes))
+    }
+
     /// Reads parts of a file, as they are.
     ///
     /// # Errors
@@ -242,11 +266,11 @@ impl Lake {
         Ok(self.store.get_ranges(&path, ranges).await?)
     }
 
-    /// Removes a file; it is no error if it is gone already.
+    /// Removes an object; it is no error if it is gone already.
     ///
     /// # Errors
     /// The store refuses it.
-    pub async fn remove(&self, name: &FileName) -> Result<(), LakeError> {
+    pub async fn remove(&self, name: &impl std::fmt::Display) -> Result<(), LakeError> {
         match self.store.delete(&self.path(&name.to_string())?).await {
             Ok(()) | Err(StoreError::NotFound { .. }) => Ok(()),
             Err(error) => Err(error.into()),

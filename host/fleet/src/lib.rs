@@ -16,6 +16,7 @@
 //! | [`verify`] | names what is missing, edited or there twice |
 //! | [`compact`](mod@compact) | joins small files, gives up old days |
 //! | [`retired`] | marks of what was given up |
+//! | [`sums`] | names of daily sums, and for which files they stand |
 //! | `query` | answers questions in SQL, behind a feature |
 //! | `serve` | a page of all presses, behind a feature |
 //!
@@ -32,4 +33,5 @@ pub mod rows;
 #[cfg(feature = "serve")]
 pub mod serve;
 pub mod ship;
+pub mod sums;
 pub mod verify;

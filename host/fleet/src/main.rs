@@ -179,6 +179,9 @@ fn main() -> ExitCode {
             match cli.command {
                 Command::Ship(ship) => ship.run().await,
                 Command::Verify(verify) => verify.run().await,
+                #[cfg(feature = "query")]
+                Command::Compact(compact) => engine.spawn(compact.run()).await?,
+                #[cfg(not(feature = "query"))]
                 Command::Compact(compact) => compact.run().await,
                 Command::Files(files) => files.run().await,
                 #[cfg(feature = "query")]
@@ -315,7 +318,7 @@ fn opened(path: &Path) -> anyhow::Result<History> {
 }
 
 impl Compact {
-    async fn run(&self) -> anyhow::Result<ExitCode> {
+    async fn run(self) -> anyhow::Result<ExitCode> {
         let lake = self.lake.open()?;
         let grace = Duration::from_secs(60 * u64::from(self.grace_minutes));
         let what = Compaction::of_days(
@@ -326,8 +329,9 @@ impl Compact {
         );
         let done = compact(&lake, &what).await?;
         println!(
-            "joined {} files into {}; removed {} whose checks are in joined ones, {} of days given up",
-            done.joined, done.into, done.removed, done.retired
+            "joined {} files into {}; removed {} whose checks are in joined ones, {} of days given up; \
+             sums of {} days made, of {} removed",
+            done.joined, done.into, done.removed, done.retired, done.summed, done.sums_removed
         );
         for (name, why) in &done.left {
             println!("left alone: {name}: {why}");

@@ -5,14 +5,16 @@
 
 mod answer;
 mod file_reader;
+pub(crate) mod sums;
 mod table;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use datafusion::arrow::array::RecordBatch;
 use datafusion::arrow::datatypes::SchemaRef;
 use datafusion::arrow::error::ArrowError;
+use datafusion::catalog::TableProvider;
 use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
 use datafusion::functions_aggregate::first_last::last_value_udaf;
@@ -21,13 +23,17 @@ use datafusion::prelude::{SessionConfig, SessionContext};
 
 use crate::lake::{Lake, LakeError, Listed};
 use crate::name::FileName;
+use crate::rows::Stream;
+use crate::sums::SumsName;
+use sums::{SUMS, SumsTable};
 use table::ChecksTable;
 
+pub use crate::sums::QUESTIONS_SQL;
 pub use answer::Form;
 pub use datafusion::common::ScalarValue;
 
-/// Views and named questions, for people and for DuckDB, too.
-pub const QUESTIONS_SQL: &str = include_str!("questions.sql");
+/// The view that the names of files tell where to look for.
+const LAST_CHECKS: &str = "last_checks";
 
 /// Begins a question's name in [`QUESTIONS_SQL`].
 const NAME: &str = "-- name: ";
@@ -82,6 +88,16 @@ pub fn questions() -> impl Iterator<Item = Question> {
     })
 }
 
+/// The views that the questions share, each by its name, in the order of the file.
+fn views() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let views = QUESTIONS_SQL.split(NAME).next().unwrap_or_default();
+    views.split_inclusive(";\n").filter_map(|view| {
+        let (_, rest) = view.split_once("CREATE VIEW ")?;
+        let (name, _) = rest.split_once(" AS")?;
+        Some((name, view))
+    })
+}
+
 fn names() -> Vec<&'static str> {
     questions().map(|question| question.name).collect()
 }
@@ -130,6 +146,7 @@ pub async fn ask(lake: &Lake, asked: &str) -> Result<Answer, QueryError> {
 pub struct Snapshot {
     lake: Lake,
     files: Vec<Listed>,
+    sums: Vec<SumsName>,
 }
 
 impl Snapshot {
@@ -150,7 +167,17 @@ impl Snapshot {
         Ok(Self {
             lake: lake.clone(),
             files,
+            sums: listing.sums,
         })
+    }
+
+    /// Some of its files, without sums.
+    fn only(&self, files: Vec<Listed>) -> Self {
+        Self {
+            lake: self.lake.clone(),
+            files,
+            sums: Vec::new(),
+        }
     }
 
     /// The files, by name.
@@ -164,7 +191,8 @@ impl Snapshot {
     /// A file that the answer needs is damaged, or the question is refused.
     pub async fn ask(&self, asked: &str, values: Vec<ScalarValue>) -> Result<Answer, QueryError> {
         let sql = sql(asked)?;
-        let context = self.context().await?;
+        let config = SessionConfig::new().with_information_schema(true);
+        let context = self.context(config).await?;
         let only_read = SQLOptions::new()
             .with_allow_ddl(false)
             .with_allow_dml(false)
@@ -181,22 +209,58 @@ impl Snapshot {
     }
 
     /// The table and the views.
-    async fn context(&self) -> Result<SessionContext, QueryError> {
-        let context =
-            SessionContext::new_with_config(SessionConfig::new().with_information_schema(true));
+    async fn context(&self, config: SessionConfig) -> Result<SessionContext, QueryError> {
+        let context = self.table(config)?;
+        for (name, view) in views() {
+            match name {
+                SUMS => context.register_table(name, Arc::new(SumsTable::new(self).await?))?,
+                LAST_CHECKS => {
+                    let last = self.only(self.last_files());
+                    context.register_table(name, last.view(name).await?)?
+                }
+                _ => {
+                    context.sql(view).await?;
+                    None
+                }
+            };
+        }
+        Ok(context)
+    }
+
+    /// A view of these files' rows.
+    async fn view(&self, wanted: &str) -> Result<Arc<dyn TableProvider>, QueryError> {
+        let context = self.table(SessionConfig::new())?;
+        for (name, view) in views() {
+            context.sql(view).await?;
+            if name == wanted {
+                break;
+            }
+        }
+        Ok(context.table_provider(wanted).await?)
+    }
+
+    /// The table alone.
+    fn table(&self, config: SessionConfig) -> Result<SessionContext, QueryError> {
+        let context = SessionContext::new_with_config(config);
         // DuckDB's word for it.
         let last = (*last_value_udaf()).clone().with_aliases(["last"]);
         context.register_udaf(last);
         let checks = ChecksTable::new(&self.lake, &self.files)?;
         context.register_table("checks", Arc::new(checks))?;
-        let views = QUESTIONS_SQL.split(NAME).next().unwrap_or_default();
-        for view in views
-            .split_inclusive(";\n")
-            .filter(|view| view.contains("CREATE VIEW"))
-        {
-            context.sql(view).await?;
-        }
         Ok(context)
+    }
+
+    /// The files with the last checks of each history at each station.
+    fn last_files(&self) -> Vec<Listed> {
+        let mut last: BTreeMap<(&str, &Stream), &Listed> = BTreeMap::new();
+        for file in &self.files {
+            let range = &file.name.range;
+            let last = last.entry((&range.station, &range.stream)).or_insert(file);
+            if last.name.range.last < range.last {
+                *last = file;
+            }
+        }
+        last.into_values().cloned().collect()
     }
 }
 

@@ -4,35 +4,68 @@
 -- Every line is fitted by least squares. `u_…` is a standard uncertainty, `expanded_…` an expanded one (k = 2). What a line says of its own
 -- scatter does not know of errors that all values share; these are in the values' own `u95_um`.
 
--- Each row with the life of its die: a new one begins where the strokes decrease. A die is a tool and its serial number; without a serial
--- number it is known at its station only (`place`). Wear is empty unless it counts for a trend, as at the station: an indeterminate value
--- counts only if it is merely too near to a limit to be decided. `x` is the strokes since the die's first check in the lake.
+-- The rows of the last check of each history. Names of files tell where it is, so the program reads no other files for it.
+CREATE VIEW last_checks AS
+-- The few stand first: of them the engine makes its table.
+SELECT c.* FROM (
+    SELECT station AS its_station, history AS its_history, epoch AS its_epoch, max(check_number) AS its_last
+    FROM checks GROUP BY station, history, epoch
+) JOIN checks AS c ON station = its_station AND history = its_history AND epoch = its_epoch AND check_number = its_last;
+
+-- Each row with the run of its die that it belongs to: the checks of one day between which strokes did not decrease, at whatever stations.
+-- A die is a tool and its serial number; without a serial number it is known at its station only (`place`). Wear is empty unless it counts
+-- for a trend, as at the station: an indeterminate value counts only if it is merely too near to a limit to be decided. `x` is the strokes
+-- since the die's first check of the day.
 CREATE VIEW readings AS
-SELECT *, CAST(tool_cycles - first_cycles AS DOUBLE) AS x,
+SELECT *, CAST(tool_cycles - base_cycles AS DOUBLE) AS x,
     CASE WHEN abs(wear_um) < 1e9 AND u95_um < 1e9 AND (verdict <> 'indeterminate' OR code = 'undecidable') THEN wear_um END AS w,
     CAST(sum(CASE WHEN tool_cycles < before THEN 1 ELSE 0 END) OVER
-        (PARTITION BY simulated, tool, serial, place ORDER BY stored_at, check_number) AS BIGINT) AS life
+        (PARTITION BY date, simulated, tool, serial, place ORDER BY stored_at, check_number, history) AS BIGINT) AS run
 FROM (
-    SELECT simulated, station, date, stored_at, check_number, tool, serial, place, tool_cycles, baseline, head_blake3, flank, patch,
+    SELECT simulated, station, date, stored_at, check_number, history, tool, serial, place, tool_cycles, baseline, head_blake3, flank, patch,
         -- The number of a patch changes when others are added; its name does not.
         CASE WHEN patch IS NULL THEN tooth END AS tooth,
         wear_um, u95_um, warn_um, limit_um, verdict, code,
-        lag(tool_cycles) OVER die AS before, first_value(tool_cycles) OVER die AS first_cycles
+        lag(tool_cycles) OVER die AS before, first_value(tool_cycles) OVER die AS base_cycles
     FROM (SELECT *, CASE WHEN serial IS NULL THEN station END AS place FROM checks)
-    WINDOW die AS (PARTITION BY simulated, tool, serial, place ORDER BY stored_at, check_number)
+    WINDOW die AS (PARTITION BY date, simulated, tool, serial, place ORDER BY stored_at, check_number, history)
 );
 
--- Sums of a flank and day under the same conditions; sums of days add up to those of longer times.
-CREATE VIEW days AS
-SELECT simulated, station, tool, serial, place, life, baseline, head_blake3, tooth, flank, patch, date,
+-- Sums of a flank and run under the same conditions. They need nothing of other days, so `flankscope-fleet compact` keeps them in a file
+-- for every day that is over, and `query` takes what this SELECT says from there.
+CREATE VIEW sums AS
+SELECT date, simulated, tool, serial, place, run, station, baseline, head_blake3, tooth, flank, patch,
+    min(base_cycles) AS base_cycles, min(tool_cycles) AS first_cycles, max(tool_cycles) AS last_cycles,
+    min(stored_at) AS first_at, max(stored_at) AS last_at,
     count(w) AS n, sum(x) FILTER (WHERE w IS NOT NULL) AS sx, sum(w) AS sw,
     sum(x * x) FILTER (WHERE w IS NOT NULL) AS sxx, sum(x * w) AS sxw, sum(w * w) AS sww,
     min(x) FILTER (WHERE w IS NOT NULL) AS first_x, max(x) FILTER (WHERE w IS NOT NULL) AS last_x,
-    min(stored_at) AS first_at, max(stored_at) AS last_at, min(tool_cycles) AS first_cycles,
-    last(u95_um ORDER BY stored_at) FILTER (WHERE w IS NOT NULL) AS u95_um, sum(u95_um) FILTER (WHERE w IS NOT NULL) AS su95,
-    last(warn_um ORDER BY stored_at) AS warn_um, last(limit_um ORDER BY stored_at) AS limit_um
+    last(u95_um ORDER BY stored_at, check_number) FILTER (WHERE w IS NOT NULL) AS u95_um,
+    sum(u95_um) FILTER (WHERE w IS NOT NULL) AS su95,
+    last(warn_um ORDER BY stored_at, check_number) AS warn_um, last(limit_um ORDER BY stored_at, check_number) AS limit_um
 FROM readings
-GROUP BY simulated, station, tool, serial, place, life, baseline, head_blake3, tooth, flank, patch, date;
+GROUP BY date, simulated, tool, serial, place, run, station, baseline, head_blake3, tooth, flank, patch;
+
+-- The same with the life of the die: a new one begins where the strokes decrease, within a day or from one to the next, so a day has no
+-- two runs of one life. `x` is now the strokes since the die's first check in the lake. Sums of days add up to those of longer times.
+CREATE VIEW days AS
+SELECT simulated, station, tool, serial, place, life, baseline, head_blake3, tooth, flank, patch, date,
+    n, sx + n * d AS sx, sw, sxx + 2 * d * sx + n * d * d AS sxx, sxw + d * sw AS sxw, sww, first_x + d AS first_x, last_x + d AS last_x,
+    first_at, last_at, first_cycles, u95_um, su95, warn_um, limit_um
+FROM (
+    SELECT *, CAST(base_cycles - first_value(base_cycles) OVER die AS DOUBLE) AS d,
+        CAST(sum(CASE WHEN begins_run AND run_first < before THEN 1 ELSE 0 END) OVER die AS BIGINT) AS life
+    FROM (
+        SELECT *, lag(run_last) OVER die AS before, (lag(date) OVER die IS DISTINCT FROM date) OR (lag(run) OVER die <> run) AS begins_run
+        FROM (
+            SELECT *, min(first_cycles) OVER one AS run_first, max(last_cycles) OVER one AS run_last
+            FROM sums
+            WINDOW one AS (PARTITION BY simulated, tool, serial, place, date, run)
+        )
+        WINDOW die AS (PARTITION BY simulated, tool, serial, place ORDER BY date, run)
+    )
+    WINDOW die AS (PARTITION BY simulated, tool, serial, place ORDER BY date, run)
+);
 
 -- The line of each flank at one station in one life of its die, with one baseline and one head. A line needs five values, as at the
 -- station; `slope` is empty without. `off_um` is how far the mean of the last day lies from it.
@@ -79,13 +112,9 @@ WHERE together_at = die_at AND flank IS NOT NULL;
 SELECT station, simulated, history, epoch, check_number, date, stored_at, tool, serial, tool_cycles, check_verdict, reason,
     tooth, flank, patch, wear_um, u95_um, limit_um
 FROM (
-    SELECT c.*, row_number() OVER (PARTITION BY station
+    SELECT *, row_number() OVER (PARTITION BY station
         ORDER BY stored_at DESC, check_number DESC, limit_um - wear_um NULLS LAST, tooth, flank, patch) AS place_in_station
-    -- The few stand first: of them the engine makes its table.
-    FROM (
-        SELECT station AS its_station, history AS its_history, epoch AS its_epoch, max(check_number) AS its_last
-        FROM checks GROUP BY station, history, epoch
-    ) JOIN checks AS c ON station = its_station AND history = its_history AND epoch = its_epoch AND check_number = its_last
+    FROM last_checks
 )
 WHERE place_in_station = 1
 ORDER BY station;

@@ -6,10 +6,13 @@ use flankscope_record::history::{History, HistoryError};
 use flankscope_record::seal::{SealError, Seals};
 
 use crate::file::LakeFile;
-use crate::lake::{Lake, LakeError};
+use crate::lake::{Lake, LakeError, Listing};
 use crate::name::{Cover, FileName};
+#[cfg(feature = "query")]
+use crate::query::{QueryError, sums::are_of_rows};
 use crate::retired::{Retired, first_kept};
 use crate::rows::{LakeCheck, NoTime, Stream};
+use crate::sums::{Day, SumsName, days};
 
 /// Why a lake cannot be verified; what is wrong with it is a [`Finding`] instead.
 #[derive(Debug, thiserror::Error)]
@@ -22,6 +25,9 @@ pub enum VerifyError {
     History(#[from] HistoryError),
     #[error(transparent)]
     Time(#[from] NoTime),
+    #[cfg(feature = "query")]
+    #[error("the sums of a day cannot be compared with its rows: {0}")]
+    Sums(#[from] QueryError),
 }
 
 /// Something that is not as it was shipped.
@@ -43,6 +49,8 @@ pub enum Finding {
     OtherChain { name: FileName, why: String },
     /// Checks that are not as the history has them.
     NotOfHistory { name: FileName, check: i64 },
+    /// Sums of a day that are not what its files say.
+    Sums { name: SumsName, why: &'static str },
     /// An object that this program does not write.
     Foreign { path: String },
 }
@@ -77,6 +85,10 @@ impl std::fmt::Display for Finding {
             Self::NotOfHistory { name, check } => write!(
                 f,
                 "not of the history: check {check} of {name} is not as the history has it"
+            ),
+            Self::Sums { name, why } => write!(
+                f,
+                "sums: {name}: {why}; remove it, and `compact` makes it anew from the rows"
             ),
             Self::Foreign { path } => write!(f, "foreign: {path} is none of this program's files"),
         }
@@ -138,7 +150,8 @@ impl<'a> Verifier<'a> {
             redundant,
             doubled,
         } = listing.cover();
-        for path in listing.foreign {
+        for path in &listing.foreign {
+            let path = path.clone();
             self.report.findings.push(Finding::Foreign { path });
         }
         self.report.current = current.len() as u64;
@@ -159,6 +172,7 @@ impl<'a> Verifier<'a> {
                 newest.insert(name.range.stream.clone(), (name.clone(), last.clone()));
             }
         }
+        self.compare_sums(&listing, &current).await?;
         self.missing(&current, &listing.retired);
         self.two_stations();
         self.compare_anchors(&newest)?;
@@ -263,6 +277,48 @@ impl<'a> Verifier<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Compares sums with the rows of their days. Sums of files that do not count any more are read by nobody.
+    async fn compare_sums(
+        &mut self,
+        listing: &Listing,
+        current: &[FileName],
+    ) -> Result<(), VerifyError> {
+        let days = days(current);
+        for name in &listing.sums {
+            let day = days.get(&name.date[..]);
+            let Some(day) = day.filter(|day| day.source == name.source) else {
+                continue;
+            };
+            let why = match self.lake.read_sums(name).await? {
+                None => Some("it was cut short or edited"),
+                Some(_) if self.is_damaged(day) => None,
+                #[cfg(feature = "query")]
+                Some(bytes) => {
+                    let of_day = listing.files.iter().filter(|file| day.has(&file.name));
+                    let of_day = of_day.cloned().collect();
+                    let same = are_of_rows(self.lake, of_day, bytes).await?;
+                    (!same).then_some("its sums are not those of the rows")
+                }
+                #[cfg(not(feature = "query"))]
+                Some(_) => None,
+            };
+            if let Some(why) = why {
+                let name = name.clone();
+                self.report.findings.push(Finding::Sums { name, why });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether one of its files is named already.
+    fn is_damaged(&self, day: &Day<'_>) -> bool {
+        let mut findings = self.report.findings.iter();
+        findings.any(|finding| match finding {
+            Finding::Damaged { name, .. } => day.has(name),
+            _ => false,
+        })
     }
 
     /// Checks between the files of each history, and before the first one.

@@ -118,6 +118,28 @@ fn what_is_given_up_is_marked_and_not_shipped_again() {
 }
 
 #[test]
+fn what_a_killed_process_had_begun_is_removed_and_nothing_else() {
+    let (station, lake) = shipped();
+    let folder = station.lake_folder();
+    let digest = "0".repeat(32);
+    std::fs::create_dir_all(folder.join("_sums")).unwrap();
+    let begun = [
+        format!("{}#1", current(&lake)[0]),
+        format!("_sums/2001-03-01-{digest}-{digest}#12"),
+    ];
+    let foreign = ["notes#1", "_sums/notes#1"].map(str::to_owned);
+    for name in begun.iter().chain(&foreign) {
+        std::fs::write(folder.join(name), "begun").unwrap();
+    }
+    compacted(&lake, LONG_AFTER, None, Duration::from_secs(3600));
+    assert!(folder.join(&begun[0]).exists(), "it may be written now");
+    std::thread::sleep(Duration::from_millis(5));
+    compacted(&lake, LONG_AFTER, None, Duration::ZERO);
+    let there = |name: &String| folder.join(name).exists();
+    assert!(!begun.iter().any(there) && foreign.iter().all(there));
+}
+
+#[test]
 fn damaged_and_doubled_files_are_left_alone() {
     let (station, lake) = shipped();
     let names = current(&lake);

@@ -220,16 +220,16 @@ fn a_new_check_changes_its_tile_and_a_lake_that_cannot_be_read_leaves_nothing_gr
     };
     server.page_that("/board", is("go"));
     maker.verdict = "no-go";
-    let file = maker.put(&lake, &[made_up("press 1", now(), &[60.0])]);
+    maker.put(&lake, &[made_up("press 1", now(), &[60.0])]);
     server.page_that("/board", is("no-go"));
     maker.verdict = "go";
-    maker.put(&lake, &[made_up("press 1", now(), &[1.0])]);
+    let file = maker.put(&lake, &[made_up("press 1", now(), &[1.0])]);
     server.page_that("/board", is("go"));
-    // A file is cut short, and another comes: what stands cannot be told from the rest.
+    // The file with a press's last check is cut short, and another press checks: what stands cannot be told from the rest.
     let cut = path.join(file.name().to_string());
     let bytes = std::fs::read(&cut).unwrap();
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
-    maker.put(&lake, &[made_up("press 1", now(), &[1.0])]);
+    maker.put(&lake, &[made_up("press 2", now(), &[1.0])]);
     let board = server.page_that("/board", is("old"));
     assert!(
         board.contains("class=\"alarm\"") && !board.contains("badge go"),

@@ -103,10 +103,26 @@ fn kills_lose_and_double_nothing() {
         assert!(start(&station, true).wait().unwrap().success());
     }
     assert_whole(&station, &lake);
+    #[cfg(feature = "query")]
+    assert_summed(&lake);
     println!(
         "{killed} kills ({ended} processes came to their end): {} lakes filled, {CHECKS} checks in each, once and as stored",
         lakes + 1
     );
+}
+
+/// Every day has sums of the files that count, and no other.
+#[cfg(feature = "query")]
+fn assert_summed(lake: &Lake) {
+    let listing = run(lake.list(None)).unwrap();
+    let current = listing.cover().current;
+    let mut days = flankscope_fleet::sums::days(&current);
+    for name in &listing.sums {
+        let day = days.remove(&name.date[..]).unwrap();
+        assert_eq!(day.source, name.source);
+        assert!(run(lake.read_sums(name)).unwrap().is_some());
+    }
+    assert!(days.is_empty(), "{days:?}");
 }
 
 fn assert_whole(station: &Station, lake: &Lake) {

@@ -52,7 +52,18 @@ impl Maker {
     }
 
     /// Puts the checks of one station and day, in the order of time.
+    #[allow(dead_code)]
     pub fn put(&mut self, lake: &Lake, checks: &[MadeUp]) -> LakeFile {
+        self.put_changed(lake, checks, |_, _| {})
+    }
+
+    /// The same with each check changed, by its place among them.
+    pub fn put_changed(
+        &mut self,
+        lake: &Lake,
+        checks: &[MadeUp],
+        change: impl Fn(usize, &mut LakeCheck),
+    ) -> LakeFile {
         let station = checks[0].station.clone();
         let next = self.numbers.entry(station.clone()).or_insert(1);
         let history = blake3::hash(station.as_bytes()).to_hex()[..32].to_owned();
@@ -72,9 +83,12 @@ impl Maker {
             stream: stream.clone(),
             station,
         };
-        let rows = (first..)
-            .zip(checks)
-            .map(|(number, made)| self.check(&stream, number, made, at(made)));
+        let rows = (0..).zip(checks).map(|(place, made)| {
+            let number = first + place as i64;
+            let mut check = self.check(&stream, number, made, at(made));
+            change(place, &mut check);
+            check
+        });
         let file = LakeFile::sealed(range, rows.collect(), &self.seals);
         run(put_all(lake, std::iter::once(Ok(file.clone())))).unwrap();
         file
