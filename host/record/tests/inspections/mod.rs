@@ -1,6 +1,4 @@
-//! Results of checks that nobody made. Tests of the plant and of the fleet take them from here, too.
-
-#![allow(dead_code)]
+//! Results of checks that nobody made.
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::Word;
@@ -17,15 +15,15 @@ pub fn seals() -> Seals {
     Seals::open(&folder).unwrap()
 }
 
-/// A flank with so much wear, limits of 30 and 50 µm, and a verdict that nothing explains.
-pub fn feature(tooth: u32, flank: Flank, wear_um: f64, verdict: Word) -> Feature {
-    Feature {
+/// A check of six flanks after `press_cycles`, with a verdict and a reason.
+pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
+    let feature = |tooth, flank: Flank| Feature {
         id: FeatureId {
             tooth,
             flank,
             patch: None,
         },
-        wear_um: Some(wear_um),
+        wear_um: Some(f64::from(press_cycles) / 8.0),
         u95_um: Some(4.0),
         at_least_um: None,
         mean_um: Some(0.0),
@@ -38,12 +36,7 @@ pub fn feature(tooth: u32, flank: Flank, wear_um: f64, verdict: Word) -> Feature
         verdict,
         reason: None,
         code: None,
-    }
-}
-
-/// A check of six flanks after `press_cycles`, with a verdict and a reason.
-pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
-    let wear_um = f64::from(press_cycles) / 8.0;
+    };
     let bytes: Vec<u8> = (0..1024)
         .flat_map(|i| (i ^ press_cycles).to_le_bytes())
         .collect();
@@ -70,7 +63,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         reason: reason.into(),
         features: [12, 40, 68]
             .into_iter()
-            .flat_map(|tooth| Flank::BOTH.map(|flank| feature(tooth, flank, wear_um, verdict)))
+            .flat_map(|tooth| [feature(tooth, Flank::Left), feature(tooth, Flank::Right)])
             .collect(),
         in_view: Vec::new(),
         missing_teeth: Vec::new(),
