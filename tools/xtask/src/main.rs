@@ -32,7 +32,7 @@ cargo xtask COMMAND
   qemu                   a check through the controller's image in an emulator: same verdict as in-process, and its timing
   demo                   the README's first command, as a newcomer runs it
   bench [--peers VENV]   our figures beside other tools', on the same data in one run (BENCHMARK.md)
-  bench --instructions   instructions of every stage of a check, counted by valgrind; fails where one changed by 10 %
+  bench --instructions   instructions of every stage of a check, counted by valgrind; fails where one changed by more than 3 %
   light [VENV]           the bench's light beside that of another renderer (Mitsuba), which renders the die anew: 5 minutes;
                          without VENV its packages go into an environment of their own below target
   bench --checks N       N in-situ checks of one tooth: how long the press waits after the last exposure
