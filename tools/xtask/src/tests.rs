@@ -95,17 +95,7 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
             done.1.push(test.name.clone());
         }
     };
-    let next = AtomicUsize::new(0);
-    let lanes = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..lanes {
-            scope.spawn(|| {
-                while let Some(test) = together.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    run_noted(test);
-                }
-            });
-        }
-    });
+    on_every_core(&together, run_noted);
     alone.iter().for_each(run_noted);
     let (times, failed) = done
         .into_inner()
@@ -122,6 +112,21 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
         (false, Ok(())) => Err(format!("tests failed in {}", failed.join(", "))),
         (false, Err(examples)) => Err(format!("tests failed in {}; {examples}", failed.join(", "))),
     }
+}
+
+/// Does `work` on every item, begun in their order, as many at a time as there are cores.
+pub fn on_every_core<T: Sync>(items: &[T], work: impl Fn(&T) + Sync) {
+    let next = AtomicUsize::new(0);
+    let lanes = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..lanes {
+            scope.spawn(|| {
+                while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    work(item);
+                }
+            });
+        }
+    });
 }
 
 /// Runs a program to its end, then prints what it said: all of it where a test failed, else one line.

@@ -1,9 +1,9 @@
 //! Instructions of every stage of a check, counted by valgrind: the same number on every run, whatever else the machine does.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::data;
 use crate::tests;
@@ -51,36 +51,26 @@ pub fn check(root: &Path) -> Result<(), String> {
     let folder = crate::target().join("instruction-data");
     data::make(&folder, RING_POINTS)?;
     let examples = tests::build(root, Some(1))?.examples;
-    let counts = Mutex::new(Vec::new());
-    let next = AtomicUsize::new(0);
-    let lanes = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..lanes {
-            scope.spawn(|| {
-                loop {
-                    let at = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(stage) = STAGES.get(at) else { return };
-                    let count = examples
-                        .get(stage.example)
-                        .ok_or_else(|| format!("no example {} was built", stage.example))
-                        .and_then(|program| millions(program, stage, &folder));
-                    let mut counts = counts.lock().unwrap_or_else(|broken| broken.into_inner());
-                    counts.push((at, count));
-                }
-            });
-        }
+    let counts = Mutex::new(HashMap::new());
+    tests::on_every_core(&STAGES, |stage| {
+        let count = examples
+            .get(stage.example)
+            .ok_or_else(|| format!("no example {} was built", stage.example))
+            .and_then(|program| millions(program, stage, &folder));
+        let mut counts = counts.lock().unwrap_or_else(|broken| broken.into_inner());
+        counts.insert(stage.name, count);
     });
     let mut counts = counts
         .into_inner()
         .unwrap_or_else(|broken| broken.into_inner());
-    counts.sort_by_key(|&(at, _)| at);
     println!("| stage | work | million instructions | last judged good |\n|---|---|---|---|");
     let mut off = Vec::new();
-    for (at, count) in counts {
-        let Stage {
-            name, work, good, ..
-        } = STAGES[at];
-        let millions = count?;
+    for Stage {
+        name, work, good, ..
+    } in &STAGES
+    {
+        let count = counts.remove(name);
+        let millions = count.unwrap_or_else(|| Err(format!("{name} was not counted")))?;
         println!("| {name} | {work} | {millions:.1} | {good} |");
         if (millions / good - 1.0).abs() > TOLERANCE {
             off.push(format!(
