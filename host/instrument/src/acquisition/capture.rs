@@ -16,9 +16,6 @@ use crate::controller::Client;
 /// Longest wait for the capture thread after the last trigger was fired.
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Part of a hold limit that is reserved for leaving the die: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
-pub const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
-
 impl<O: Send + 'static> Acquisition<O> {
     /// Brings a controller without a fault to `Ready`: sends it the configuration of the stages, and references them if they are not.
     pub async fn make_ready(
@@ -133,6 +130,7 @@ impl<O: Send + 'static> Acquisition<O> {
     ) -> Result<Option<Stop>, AcquisitionError> {
         let frames = plan.frames_per_view();
         let mut failure = None;
+        let leaving = self.program.leaving_time();
         // Set once the controller sends no more events, to the time by which the capture thread must have answered.
         let mut captured: Option<Instant> = None;
         let (mut closing, mut closed) = (false, false);
@@ -167,6 +165,8 @@ impl<O: Send + 'static> Acquisition<O> {
                 }
                 event = client.event(silence), if captured.is_none() => {
                     let (mut done, mut retracting) = (false, false);
+                    // No event comes before the head is in position and still.
+                    let mut until_next_event = Duration::ZERO;
                     match event {
                         Err(error) => {
                             failure.get_or_insert(Stop::Broken(error.into()));
@@ -180,8 +180,12 @@ impl<O: Send + 'static> Acquisition<O> {
                             }
                             match event {
                                 Event::StateChanged { next: State::Moving, .. } => {
-                                    let next = run.session.views.get(run.session.begun());
+                                    let begun = run.session.begun();
+                                    let next = run.session.views.get(begun);
                                     if let Some(&view) = next {
+                                        let last = begun.checked_sub(1).and_then(|last| run.session.views.get(last));
+                                        until_next_event =
+                                            last.map_or(Duration::ZERO, |&last| self.program.moving_time(last, view));
                                         let (number, of) = (run.number(view), run.wanted.len());
                                         watch(Progress::Moving { view, number, of });
                                     }
@@ -209,7 +213,8 @@ impl<O: Send + 'static> Acquisition<O> {
                         }
                     }
                     // The press is released even if views are still missing.
-                    if !done && run.hold_limit.is_some_and(|limit| run.timeline.elapsed() + RETRACT_RESERVE > limit) {
+                    let needed = run.timeline.elapsed() + until_next_event + leaving;
+                    if !done && !retracting && run.hold_limit.is_some_and(|limit| needed > limit) {
                         run.hold_limit = None;
                         failure.get_or_insert(Stop::HoldLimit);
                         client.order(&Command::Abort).await?;

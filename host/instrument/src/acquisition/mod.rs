@@ -40,7 +40,6 @@ mod session;
 mod sums;
 mod timeline;
 
-pub use capture::RETRACT_RESERVE;
 pub use error::{AcquisitionError, Progress, Stop, ViewError};
 pub use levels::{LevelHistogram, ViewLevels};
 pub use pairing::{PairingError, pair};

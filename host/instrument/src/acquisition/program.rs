@@ -1,5 +1,7 @@
 //! What stages, pattern projector and camera have to do in a run, and its conversion to the controller's capture plan.
 
+use std::time::Duration;
+
 use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::LensDrive;
 use flankscope_protocol::{
@@ -8,6 +10,12 @@ use flankscope_protocol::{
 };
 
 use crate::settings::{Light, Stages, Timing};
+
+/// Stages come to a stop within this after an abort.
+const STOPPING: Duration = Duration::from_millis(300);
+
+/// What an abort may be late on its way through host, line and controller.
+const ABORT_LATENCY: Duration = Duration::from_millis(400);
 
 /// Position of the stages for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,7 +105,7 @@ impl StagePosition {
     pub fn view(&self) -> View {
         View {
             rotation: Microradians((self.rotation_rad * 1e6).round() as i32),
-            vertical: Micrometres((self.vertical_mm * 1e3).round() as i32),
+            vertical: micrometres(self.vertical_mm),
         }
     }
 }
@@ -126,6 +134,32 @@ impl Program {
         f64::from(self.timing.settle_ms) / 1e3
     }
 
+    /// Time to stop and to leave the die from the lowest view.
+    pub fn leaving_time(&self) -> Duration {
+        let retract = micrometres(self.retract_mm);
+        let ways = self.positions.iter().map(|at| {
+            let from = at.view().vertical;
+            self.stage.vertical.travel_time(from, retract)
+        });
+        let way_us = ways.map(Microseconds::get).max().unwrap_or(0);
+        STOPPING + Duration::from_micros(u64::from(way_us)) + ABORT_LATENCY
+    }
+
+    /// Time to move from one view to another and to settle there.
+    pub fn moving_time(&self, from: usize, to: usize) -> Duration {
+        let at = |view: usize| self.positions.get(view).map(StagePosition::view);
+        let (Some(from), Some(to)) = (at(from), at(to)) else {
+            return Duration::ZERO;
+        };
+        let StageConfig {
+            rotation, vertical, ..
+        } = &self.stage;
+        let turn = rotation.travel_time(from.rotation, to.rotation);
+        let lift = vertical.travel_time(from.vertical, to.vertical);
+        Duration::from_micros(u64::from(turn.max(lift).get()))
+            + Duration::from_millis(u64::from(self.timing.settle_ms))
+    }
+
     /// The capture plan for some of the program's views, under its own session number.
     ///
     /// # Errors
@@ -150,7 +184,7 @@ impl Program {
             settle: Microseconds::from_millis(timing.settle_ms),
             dmd_settle: Microseconds(timing.pattern_settle_us),
             camera_readout: Microseconds(timing.camera_readout_us),
-            retract: Micrometres((self.retract_mm * 1e3).round() as i32),
+            retract: micrometres(self.retract_mm),
             timeouts: Timeouts {
                 motion: Timeouts::default().motion.max(self.stage.motion_timeout()),
                 dmd: Microseconds(Timeouts::default().dmd.get() + 1_000 * timing.pattern_load_ms),
@@ -188,6 +222,10 @@ impl Program {
         }
         Ok(plan)
     }
+}
+
+fn micrometres(mm: f64) -> Micrometres {
+    Micrometres((mm * 1e3).round() as i32)
 }
 
 #[cfg(test)]
@@ -250,6 +288,33 @@ mod tests {
             limit + 1
         );
         assert_eq!(error.to_string(), named);
+    }
+
+    #[test]
+    fn times_of_moves_are_those_of_the_slower_axis_and_of_the_lowest_view() {
+        // 2 mm at 1 mm/s reached within 1 s: 3 s. 0.4 rad at 2 rad/s², never at full speed: 2 sqrt(0.2) s.
+        let mut stages = Stages::default();
+        (
+            stages.vertical.speed_mm_s,
+            stages.vertical.acceleration_mm_s2,
+        ) = (1.0, 1.0);
+        (
+            stages.rotation.speed_deg_s,
+            stages.rotation.acceleration_deg_s2,
+        ) = (10_f64.to_degrees(), 2_f64.to_degrees());
+        let mut program = program(3);
+        program.stage = stages.config();
+        program.timing.settle_ms = 50;
+        let at = |rotation_rad, vertical_mm| StagePosition {
+            rotation_rad,
+            vertical_mm,
+        };
+        program.positions = vec![at(0.0, 33.0), at(0.4, 33.0), at(0.4, 31.0)];
+        let near = |time: Duration, s: f64| (time.as_secs_f64() - s).abs() < 1e-3;
+        assert!(near(program.moving_time(0, 1), 2.0 * 0.2_f64.sqrt() + 0.05));
+        assert!(near(program.moving_time(0, 2), 3.05));
+        assert!(near(program.moving_time(2, 1), 3.05));
+        assert!(near(program.leaving_time(), 86.0 - 31.0 + 1.0 + 0.7));
     }
 
     #[test]

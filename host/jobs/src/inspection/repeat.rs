@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::job::InspectError;
 use super::outcome::ViewOutcome;
 use crate::job::Job;
-use flankscope_instrument::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
+use flankscope_instrument::acquisition::{AcquisitionError, Progress, Run, Stop};
 use flankscope_instrument::controller::{Client, ClientError};
 
 /// How the repeated capture of views ended.
@@ -34,9 +34,10 @@ impl Job<ViewOutcome> {
         let inspect = self.subject.tool.inspect.as_ref();
         // The time of one way in and out, and of a visit to each view.
         let visit = run.timeline.elapsed() / (run.wanted.len() as u32 + 1);
+        let leaving = self.acquisition.program().leaving_time();
         for _ in 0..inspect.map_or(0, |inspect| inspect.remeasure) {
             let in_time = |views: usize| {
-                let needed = visit * (views as u32 + 1) + RETRACT_RESERVE;
+                let needed = visit * (views as u32 + 1) + leaving;
                 let limit = run.hold_limit;
                 limit.is_none_or(|limit| run.timeline.elapsed() + needed <= limit)
             };
