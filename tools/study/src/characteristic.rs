@@ -60,7 +60,7 @@ fn drawn(cells: &[Cell]) -> impl Iterator<Item = &Cell> {
 /// The section of the page; empty where no depth was drawn.
 pub(super) fn section(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error> {
     let mut text = String::new();
-    if drawn(cells).all(|cell| cell.samples.is_empty()) {
+    if none_drawn(cells) {
         return Ok(text);
     }
     let [warn_um, limit_um] = limits_um;
@@ -100,8 +100,15 @@ pub(super) fn section(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Err
     Ok(text)
 }
 
-/// The picture of all rows whose depth was drawn.
-pub(super) fn draw(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error> {
+fn none_drawn(cells: &[Cell]) -> bool {
+    drawn(cells).all(|cell| cell.samples.is_empty())
+}
+
+/// The picture of all rows whose depth was drawn; `None` without any.
+pub(super) fn draw(cells: &[Cell], limits_um: [f64; 2]) -> Result<Option<String>, Error> {
+    if none_drawn(cells) {
+        return Ok(None);
+    }
     let [width, height] = SIZE;
     let x = |um: f64| LEFT + (width - 2.0 * LEFT) * um / DEEPEST_UM;
     let y = |share: f64| height - BOTTOM - (height - BOTTOM - TOP) * share;
@@ -174,7 +181,7 @@ pub(super) fn draw(cells: &[Cell], limits_um: [f64; 2]) -> Result<String, Error>
         width / 2.0,
         height - 10.0
     )?;
-    Ok(svg)
+    Ok(Some(svg))
 }
 
 #[cfg(test)]
@@ -216,7 +223,8 @@ mod tests {
             text.contains("| 10 to 20 | 1 | 1 | 0 | 1 | 0 | 0 | 95.0 % |"),
             "{text}"
         );
-        let svg = draw(&cells, [30.0, 50.0]).expect("a picture");
+        let svg = draw(&cells, [30.0, 50.0]).expect("drawn");
+        let svg = svg.expect("a picture");
         let document = roxmltree::Document::parse(&svg).expect("XML");
         let of = |colour: &str| {
             let all = document.descendants();
@@ -234,5 +242,6 @@ mod tests {
             "{first} {last}"
         );
         assert!(section(&[], [30.0, 50.0]).expect("text").is_empty());
+        assert!(draw(&[], [30.0, 50.0]).expect("nothing").is_none());
     }
 }

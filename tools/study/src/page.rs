@@ -36,7 +36,7 @@ struct Document<'a> {
     rows: &'a [Cell],
 }
 
-/// Writes `README.md`, `errors.svg`, `characteristic.svg`, `staircase.svg` and `study.json`.
+/// Writes `README.md`, `errors.svg`, `characteristic.svg` if depths were drawn, `staircase.svg` and `study.json`.
 pub(super) fn write(
     folder: &Path,
     outcome: &Outcome,
@@ -63,10 +63,9 @@ pub(super) fn write(
         &folder.join("errors.svg"),
         errors(&outcome.cells)?.as_bytes(),
     )?;
-    write_whole(
-        &folder.join("characteristic.svg"),
-        characteristic::draw(&outcome.cells, [WARN_UM, LIMIT_UM])?.as_bytes(),
-    )?;
+    if let Some(picture) = characteristic::draw(&outcome.cells, [WARN_UM, LIMIT_UM])? {
+        write_whole(&folder.join("characteristic.svg"), picture.as_bytes())?;
+    }
     write_whole(
         &folder.join("staircase.svg"),
         staircase::draw(plane)?.as_bytes(),
