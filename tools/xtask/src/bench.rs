@@ -30,27 +30,27 @@ const HUNDRED: usize = data::FEATURE_POINTS;
 
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
-    Row { work: "register 100 000 points", ours: "register", points: HUNDRED, target: 15.0, peers: &[
+    Row { work: "register 100 000 points", ours: "register", points: HUNDRED, target: 40.0, peers: &[
         ("small_gicp prepare + align", &["small_gicp/prepare", "small_gicp/align"]),
         ("small_gicp align alone", &["small_gicp/align"]),
         ("open3d ICP", &["open3d/register"]),
     ] },
-    Row { work: "signed distance, 6 720 triangles, random", ours: "distance/coarse/random", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/coarse/random"]), ("open3d unsigned", &["open3d/unsigned/coarse/random"])] },
-    Row { work: "signed distance, 6 720 triangles, sorted", ours: "distance/coarse/sorted", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/coarse/sorted"]), ("open3d unsigned", &["open3d/unsigned/coarse/sorted"])] },
-    Row { work: "signed distance, 6 720 triangles, scan", ours: "distance/coarse/scan", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/coarse/scan"]), ("open3d unsigned", &["open3d/unsigned/coarse/scan"])] },
-    Row { work: "signed distance, 620 928 triangles, random", ours: "distance/fine/random", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/fine/random"]), ("open3d unsigned", &["open3d/unsigned/fine/random"])] },
-    Row { work: "signed distance, 620 928 triangles, sorted", ours: "distance/fine/sorted", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/fine/sorted"]), ("open3d unsigned", &["open3d/unsigned/fine/sorted"])] },
-    Row { work: "signed distance, 620 928 triangles, scan", ours: "distance/fine/scan", points: MILLION, target: 8.0, peers: &[("open3d signed", &["open3d/distance/fine/scan"]), ("open3d unsigned", &["open3d/unsigned/fine/scan"])] },
+    Row { work: "signed distance, 6 720 triangles, random", ours: "distance/coarse/random", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/coarse/random"]), ("open3d unsigned", &["open3d/unsigned/coarse/random"])] },
+    Row { work: "signed distance, 6 720 triangles, sorted", ours: "distance/coarse/sorted", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/coarse/sorted"]), ("open3d unsigned", &["open3d/unsigned/coarse/sorted"])] },
+    Row { work: "signed distance, 6 720 triangles, scan", ours: "distance/coarse/scan", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/coarse/scan"]), ("open3d unsigned", &["open3d/unsigned/coarse/scan"])] },
+    Row { work: "signed distance, 620 928 triangles, random", ours: "distance/fine/random", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/fine/random"]), ("open3d unsigned", &["open3d/unsigned/fine/random"])] },
+    Row { work: "signed distance, 620 928 triangles, sorted", ours: "distance/fine/sorted", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/fine/sorted"]), ("open3d unsigned", &["open3d/unsigned/fine/sorted"])] },
+    Row { work: "signed distance, 620 928 triangles, scan", ours: "distance/fine/scan", points: MILLION, target: 10.0, peers: &[("open3d signed", &["open3d/distance/fine/scan"]), ("open3d unsigned", &["open3d/unsigned/fine/scan"])] },
     Row { work: "sample 100 000 points, 620 928 triangles", ours: "sample", points: HUNDRED, target: 10.0, peers: &[("open3d", &["open3d/sample"])] },
-    Row { work: "outliers, 100 000 random points, k = 20", ours: "outliers/feature/20", points: HUNDRED, target: 5.0, peers: &[("open3d", &["open3d/outliers/feature/20"])] },
-    Row { work: "outliers, 100 000 points of a view, k = 20", ours: "outliers/view/20", points: HUNDRED, target: 5.0, peers: &[("open3d", &["open3d/outliers/view/20"])] },
-    Row { work: "outliers, 100 000 points of a view, k = 8", ours: "outliers/view/8", points: HUNDRED, target: 5.0, peers: &[("open3d", &["open3d/outliers/view/8"])] },
-    Row { work: "voxel merge 0.05 mm, random", ours: "merge/random", points: MILLION, target: 10.0, peers: &[("open3d", &["open3d/merge/random"])] },
-    Row { work: "voxel merge 0.05 mm, scan", ours: "merge/scan", points: MILLION, target: 10.0, peers: &[("open3d", &["open3d/merge/scan"])] },
-    Row { work: "load PLY, 620 928 triangles", ours: "load/ply", points: 0, target: 5.0, peers: &[("open3d", &["open3d/load/ply"]), ("trimesh", &["trimesh/load/ply"])] },
-    Row { work: "load STL, 620 928 triangles", ours: "load/stl", points: 0, target: 5.0, peers: &[("open3d", &["open3d/load/stl"]), ("trimesh", &["trimesh/load/stl"])] },
-    Row { work: "prepare surface, 6 720 triangles (once per tool)", ours: "prepare/coarse", points: 0, target: 0.0, peers: &[("open3d BVH", &["open3d/prepare/coarse"])] },
-    Row { work: "prepare surface, 620 928 triangles (once per tool)", ours: "prepare/fine", points: 0, target: 0.0, peers: &[("open3d BVH", &["open3d/prepare/fine"])] },
+    Row { work: "outliers, 100 000 random points, k = 20", ours: "outliers/feature/20", points: HUNDRED, target: 8.0, peers: &[("open3d", &["open3d/outliers/feature/20"])] },
+    Row { work: "outliers, 100 000 points of a view, k = 20", ours: "outliers/view/20", points: HUNDRED, target: 8.0, peers: &[("open3d", &["open3d/outliers/view/20"])] },
+    Row { work: "outliers, 100 000 points of a view, k = 8", ours: "outliers/view/8", points: HUNDRED, target: 8.0, peers: &[("open3d", &["open3d/outliers/view/8"])] },
+    Row { work: "voxel merge 0.05 mm, random", ours: "merge/random", points: MILLION, target: 20.0, peers: &[("open3d", &["open3d/merge/random"])] },
+    Row { work: "voxel merge 0.05 mm, scan", ours: "merge/scan", points: MILLION, target: 20.0, peers: &[("open3d", &["open3d/merge/scan"])] },
+    Row { work: "load PLY, 620 928 triangles", ours: "load/ply", points: 0, target: 8.0, peers: &[("open3d", &["open3d/load/ply"]), ("trimesh", &["trimesh/load/ply"])] },
+    Row { work: "load STL, 620 928 triangles", ours: "load/stl", points: 0, target: 8.0, peers: &[("open3d", &["open3d/load/stl"]), ("trimesh", &["trimesh/load/stl"])] },
+    Row { work: "prepare surface, 6 720 triangles (once per tool)", ours: "prepare/coarse", points: 0, target: 2.0, peers: &[("open3d BVH", &["open3d/prepare/coarse"])] },
+    Row { work: "prepare surface, 620 928 triangles (once per tool)", ours: "prepare/fine", points: 0, target: 2.0, peers: &[("open3d BVH", &["open3d/prepare/fine"])] },
 ];
 
 /// Runs everything; `peers` is a Python environment made as `tools/peers/README.md` says.

@@ -64,118 +64,196 @@ pub fn evaluate_placed<'a>(
     registration: Option<&Registration>,
     settings: &WearSettings,
 ) -> Vec<FlankWear> {
-    let features = features.into();
-    let profile_from_mm = features.along_mm(zone.radius_mm[0]);
-    let size_mm = [
-        features.along_mm(zone.radius_mm[1]) - profile_from_mm,
-        zone.height_mm[1] - zone.height_mm[0],
-    ];
-    let empty = Field::unmeasured(size_mm, settings.cell_mm());
+    let placed = Placed::new(features.into(), zone, measured, places, registration);
+    let empty = Field::unmeasured(placed.frame.size_mm, settings.cell_mm());
     let grids: Vec<Grid> = teeth
         .iter()
-        .flat_map(|&tooth| features.sides().iter().map(move |&flank| (tooth, flank)))
-        .map(|(tooth, flank)| Grid {
-            tooth,
-            flank,
-            empty: empty.clone(),
-            samples: Vec::new(),
-            counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
-            motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
-            edge: features.gear().map(edge::TipBand::new),
+        .flat_map(|&tooth| {
+            placed
+                .features
+                .sides()
+                .iter()
+                .map(move |&flank| (tooth, flank))
         })
+        .map(|of| Grid::new(of, &empty, &placed))
         .collect();
-    let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
-    // From the zone's corner.
-    let in_zone = |place: &FlankPlace| {
-        [
-            place.profile_mm - profile_from_mm,
-            place.height_mm - zone.height_mm[0],
-        ]
-    };
-    let points = measured.points.par_iter().zip(places);
-    let under_edges: Vec<Option<UnderEdge>> = points
-        .map(|(point, place)| match (place, features.gear()) {
-            (None, Some(gear)) => UnderEdge::at_point(gear, *point),
-            _ => None,
-        })
-        .collect();
-    let rays = measured.sight.map(|sight| {
-        [
-            (sight.ray_places(features, measured, places), [0, 0]),
-            (sight.places_along(features, sight.dark), [1, 0]),
-            (sight.places_along(features, sight.undecoded), [0, 1]),
-        ]
-    });
     // Every grid takes its own points, in their order: the same sums on any number of threads.
     grids
         .into_par_iter()
         .map(|mut grid| {
-            let points = measured.points.iter().zip(measured.closest).enumerate();
-            for ((index, (point, closest)), (place, under)) in
-                points.zip(places.iter().zip(&under_edges))
-            {
-                let Some(place) = place else {
-                    if let (Some(gear), Some(under)) = (features.gear(), under)
-                        && grid.is_of(under.tooth, under.flank)
-                        && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
-                        && let Some(edge) = &mut grid.edge
-                    {
-                        edge.add_under(gear, under);
-                    }
-                    continue;
-                };
-                if !grid.is_of(place.tooth, place.flank) {
-                    continue;
-                }
-                let at_mm = in_zone(place);
-                if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite()
-                {
-                    continue;
-                }
-                let wear_mm = -closest.signed_distance_mm;
-                if let Some(edge) = &mut grid.edge {
-                    edge.add(place, wear_mm);
-                }
-                let Some(cell) = grid.empty.cell_at(at_mm) else {
-                    continue;
-                };
-                if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
-                    counts.points[cell] += 1;
-                    counts.light[cell] += sight.light.get(index).map_or(0.0, |&e| f64::from(e));
-                    // A sum here; divided by the number of points below.
-                    counts.slant += sight.slant(*point, closest);
-                }
-                let sigma = measured
-                    .sigma_mm
-                    .and_then(|s| s.get(index))
-                    .map_or(f64::NAN, |&s| f64::from(s));
-                let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
-                grid.samples.push(sample);
-                let (sum, count) = &mut grid.motions[cell];
-                *sum += motion_row(*point, closest.normal, centre);
-                *count += 1;
-            }
-            for (met, [dark, undecoded]) in rays.iter().flatten() {
-                for place in met {
-                    if grid.is_of(place.tooth, place.flank)
-                        && let Some(cell) = grid.empty.cell_at(in_zone(place))
-                        && let Some(counts) = &mut grid.counts
-                    {
-                        counts.rays[cell] += 1;
-                        counts.dark[cell] += dark;
-                        counts.undecoded[cell] += undecoded;
-                    }
-                }
-            }
-            if let Some(counts) = &mut grid.counts {
-                counts.slant /= grid.samples.len().max(1) as f64;
-            }
-            grid.wear(features, registration, settings)
+            grid.take_points(&placed);
+            grid.take_rays(&placed);
+            grid.wear(placed.features, registration, settings)
         })
         .collect()
 }
 
+/// A zone's own coordinates, from its corner along profile and height.
+struct ZoneFrame {
+    corner_mm: [f64; 2],
+    size_mm: [f64; 2],
+}
+
+impl ZoneFrame {
+    fn of(features: Features<'_>, zone: &Zone) -> Self {
+        let along_mm = zone.radius_mm.map(|radius_mm| features.along_mm(radius_mm));
+        Self {
+            corner_mm: [along_mm[0], zone.height_mm[0]],
+            size_mm: [
+                along_mm[1] - along_mm[0],
+                zone.height_mm[1] - zone.height_mm[0],
+            ],
+        }
+    }
+
+    fn at_mm(&self, place: &FlankPlace) -> [f64; 2] {
+        [
+            place.profile_mm - self.corner_mm[0],
+            place.height_mm - self.corner_mm[1],
+        ]
+    }
+}
+
+/// Where rays met the CAD, and what each adds to a cell's counts of dark and of undecoded ones.
+type RayPlaces = (Vec<FlankPlace>, [u32; 2]);
+
+/// What all grids have in common: the cloud with its places, and the rays of the camera that saw it.
+struct Placed<'a> {
+    features: Features<'a>,
+    frame: ZoneFrame,
+    measured: Measured<'a>,
+    places: &'a [Option<FlankPlace>],
+    /// Of points off the flanks.
+    under_edges: Vec<Option<UnderEdge>>,
+    rays: Option<[RayPlaces; 3]>,
+    /// About which the pose's covariance turns.
+    centre: Vector3<f64>,
+}
+
+impl<'a> Placed<'a> {
+    fn new(
+        features: Features<'a>,
+        zone: &Zone,
+        measured: Measured<'a>,
+        places: &'a [Option<FlankPlace>],
+        registration: Option<&Registration>,
+    ) -> Self {
+        let points = measured.points.par_iter().zip(places);
+        let under_edges = points
+            .map(|(point, place)| match (place, features.gear()) {
+                (None, Some(gear)) => UnderEdge::at_point(gear, *point),
+                _ => None,
+            })
+            .collect();
+        let rays = measured.sight.map(|sight| {
+            [
+                (sight.ray_places(features, measured, places), [0, 0]),
+                (sight.places_along(features, sight.dark), [1, 0]),
+                (sight.places_along(features, sight.undecoded), [0, 1]),
+            ]
+        });
+        Self {
+            features,
+            frame: ZoneFrame::of(features, zone),
+            measured,
+            places,
+            under_edges,
+            rays,
+            centre: Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm)),
+        }
+    }
+}
+
 impl Grid {
+    fn new((tooth, flank): (u32, Flank), empty: &Field, placed: &Placed<'_>) -> Self {
+        let cells = empty.wear_mm.len();
+        Self {
+            tooth,
+            flank,
+            empty: empty.clone(),
+            samples: Vec::new(),
+            counts: placed.measured.sight.map(|_| RayCounts::new(cells)),
+            motions: vec![(Vector6::zeros(), 0); cells],
+            edge: placed.features.gear().map(edge::TipBand::new),
+        }
+    }
+
+    /// Takes the points of its flank, and those under its tip edge.
+    fn take_points(&mut self, placed: &Placed<'_>) {
+        let frame = &placed.frame;
+        let heights_mm = 0.0..frame.size_mm[1];
+        let places = placed.places.iter().zip(&placed.under_edges);
+        for (index, (place, under)) in places.enumerate() {
+            let Some(place) = place else {
+                if let (Some(gear), Some(under)) = (placed.features.gear(), under)
+                    && self.is_of(under.tooth, under.flank)
+                    && heights_mm.contains(&(under.height_mm - frame.corner_mm[1]))
+                    && let Some(edge) = &mut self.edge
+                {
+                    edge.add_under(gear, under);
+                }
+                continue;
+            };
+            let at_mm = frame.at_mm(place);
+            if self.is_of(place.tooth, place.flank) && heights_mm.contains(&at_mm[1]) {
+                self.take_point(index, place, at_mm, placed);
+            }
+        }
+        if let Some(counts) = &mut self.counts {
+            counts.slant /= self.samples.len().max(1) as f64;
+        }
+    }
+
+    fn take_point(
+        &mut self,
+        index: usize,
+        place: &FlankPlace,
+        at_mm: [f64; 2],
+        placed: &Placed<'_>,
+    ) {
+        let measured = &placed.measured;
+        let (point, closest) = (measured.points[index], &measured.closest[index]);
+        if !closest.signed_distance_mm.is_finite() {
+            return;
+        }
+        let wear_mm = -closest.signed_distance_mm;
+        if let Some(edge) = &mut self.edge {
+            edge.add(place, wear_mm);
+        }
+        let Some(cell) = self.empty.cell_at(at_mm) else {
+            return;
+        };
+        if let (Some(counts), Some(sight)) = (&mut self.counts, measured.sight) {
+            counts.points[cell] += 1;
+            counts.light[cell] += sight.light.get(index).map_or(0.0, |&e| f64::from(e));
+            // A sum, until all points are taken.
+            counts.slant += sight.slant(point, closest);
+        }
+        let sigma = measured.sigma_mm.and_then(|s| s.get(index));
+        let sigma = sigma.map_or(f64::NAN, |&s| f64::from(s));
+        let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
+        self.samples.push(sample);
+        let (sum, count) = &mut self.motions[cell];
+        *sum += motion_row(point, closest.normal, placed.centre);
+        *count += 1;
+    }
+
+    /// Counts the rays that met its flank.
+    fn take_rays(&mut self, placed: &Placed<'_>) {
+        for (met, [dark, undecoded]) in placed.rays.iter().flatten() {
+            for place in met {
+                if self.is_of(place.tooth, place.flank)
+                    && let Some(cell) = self.empty.cell_at(placed.frame.at_mm(place))
+                    && let Some(counts) = &mut self.counts
+                {
+                    counts.rays[cell] += 1;
+                    counts.dark[cell] += dark;
+                    counts.undecoded[cell] += undecoded;
+                }
+            }
+        }
+    }
+
     fn is_of(&self, tooth: u32, flank: Flank) -> bool {
         (self.tooth, self.flank) == (tooth, flank)
     }
