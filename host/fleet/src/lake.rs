@@ -76,12 +76,22 @@ impl Listing {
     }
 }
 
+/// Where other programs find the files of a lake.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// The object store: `file:///`, or `s3://BUCKET/`.
+    pub store: String,
+    /// What precedes the names of files in the store.
+    pub prefix: ObjectPath,
+}
+
 /// A lake.
 #[derive(Clone, Debug)]
 pub struct Lake {
     store: Arc<dyn ObjectStore>,
     prefix: ObjectPath,
     folder: Option<PathBuf>,
+    address: Option<Address>,
 }
 
 impl Lake {
@@ -101,17 +111,23 @@ impl Lake {
             path: path.to_owned(),
             source,
         })?;
+        let open = |source| LakeError::Open {
+            url: url.into(),
+            source,
+        };
+        let prefix = ObjectPath::from_absolute_path(&folder);
         let store = LocalFileSystem::new_with_prefix(&folder)
-            .map_err(|source| LakeError::Open {
-                url: url.into(),
-                source,
-            })?
+            .map_err(open)?
             // A file that is there survives a power cut.
             .with_fsync(true);
         Ok(Self {
             store: Arc::new(store),
             prefix: ObjectPath::default(),
             folder: Some(folder),
+            address: Some(Address {
+                store: "file:///".into(),
+                prefix: prefix.map_err(|error| open(error.into()))?,
+            }),
         })
     }
 
@@ -122,7 +138,14 @@ impl Lake {
             store,
             prefix,
             folder: None,
+            address: None,
         }
+    }
+
+    /// Where other programs find its files; `None` for a store in this process.
+    #[must_use]
+    pub fn address(&self) -> Option<&Address> {
+        self.address.as_ref()
     }
 
     /// The folder, if it is one.
@@ -284,9 +307,16 @@ fn s3(url: &str) -> Result<Lake, LakeError> {
         let store = object_store::aws::AmazonS3Builder::from_env()
             .with_url(url)
             .build()?;
-        let prefix = url.trim_start_matches("s3://").split_once('/');
-        let prefix = ObjectPath::parse(prefix.map_or("", |(_, prefix)| prefix))?;
-        Ok(Lake::in_store(Arc::new(store), prefix))
+        let place = url.trim_start_matches("s3://");
+        let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+        let prefix = ObjectPath::parse(prefix)?;
+        let address = Address {
+            store: format!("s3://{bucket}/"),
+            prefix: prefix.clone(),
+        };
+        let mut lake = Lake::in_store(Arc::new(store), prefix);
+        lake.address = Some(address);
+        Ok(lake)
     };
     open().map_err(|source| LakeError::Open {
         url: url.into(),

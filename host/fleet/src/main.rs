@@ -12,6 +12,8 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use flankscope_fleet::compact::{Compaction, compact};
 use flankscope_fleet::lake::{Lake, LakeError};
+#[cfg(feature = "cluster")]
+use flankscope_fleet::query::Cluster;
 #[cfg(feature = "query")]
 use flankscope_fleet::query::{Form, ask, questions};
 #[cfg(feature = "serve")]
@@ -129,6 +131,10 @@ struct Query {
     /// Form of the answer, on the standard output.
     #[arg(long = "as", value_enum, default_value_t = Form::Table)]
     form: Form,
+    /// Scheduler of a Ballista cluster that answers instead of this process; its executors read the lake at the same address.
+    #[cfg(feature = "cluster")]
+    #[arg(long, value_name = "df://HOST:PORT")]
+    cluster: Option<String>,
 }
 
 #[cfg(feature = "serve")]
@@ -364,7 +370,15 @@ impl Query {
     async fn run(self, engine: Handle) -> anyhow::Result<ExitCode> {
         if let (Some(lake), Some(question)) = (self.lake, self.question) {
             let lake = Lake::open(&lake)?;
-            let answer = engine.spawn(async move { ask(&lake, &question).await });
+            #[cfg(feature = "cluster")]
+            let cluster = self.cluster.as_deref().map(Cluster::new).transpose()?;
+            let answer = engine.spawn(async move {
+                #[cfg(feature = "cluster")]
+                if let Some(cluster) = cluster {
+                    return cluster.ask(&lake, &question).await;
+                }
+                ask(&lake, &question).await
+            });
             let answer = answer.await??;
             answer.write(self.form, std::io::BufWriter::new(std::io::stdout()))?;
         }

@@ -4,6 +4,8 @@
 //! statements that write or define anything are refused, and no other file can be named. An answer is whole or there is none.
 
 mod answer;
+#[cfg(feature = "cluster")]
+mod cluster;
 mod file_reader;
 pub(crate) mod sums;
 mod table;
@@ -19,9 +21,9 @@ use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
 use datafusion::functions_aggregate::first_last::last_value_udaf;
 use datafusion::parquet::errors::ParquetError;
-use datafusion::prelude::{SessionConfig, SessionContext};
+use datafusion::prelude::{DataFrame, SessionConfig, SessionContext};
 
-use crate::lake::{Lake, LakeError, Listed};
+use crate::lake::{Address, Lake, LakeError, Listed};
 use crate::name::FileName;
 use crate::rows::Stream;
 use crate::sums::SumsName;
@@ -30,6 +32,8 @@ use table::ChecksTable;
 
 pub use crate::sums::QUESTIONS_SQL;
 pub use answer::Form;
+#[cfg(feature = "cluster")]
+pub use cluster::{Cluster, ClusterError};
 pub use datafusion::common::ScalarValue;
 
 /// The view that the names of files tell where to look for.
@@ -62,6 +66,9 @@ pub enum QueryError {
     Columns(#[from] serde_json::Error),
     #[error("the answer cannot be written: {0}")]
     Output(#[from] std::io::Error),
+    #[cfg(feature = "cluster")]
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
 }
 
 /// A question with a name.
@@ -114,6 +121,15 @@ fn sql(asked: &str) -> Result<&str, QueryError> {
     }
 }
 
+/// What is asked as a plan that only reads.
+async fn planned(context: &SessionContext, asked: &str) -> Result<DataFrame, QueryError> {
+    let only_read = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    Ok(context.sql_with_options(sql(asked)?, only_read).await?)
+}
+
 /// Rows that answer a question.
 #[derive(Debug)]
 pub struct Answer {
@@ -147,6 +163,8 @@ pub struct Snapshot {
     lake: Lake,
     files: Vec<Listed>,
     sums: Vec<SumsName>,
+    /// Where a cluster reads the files; `None`: this process answers.
+    address: Option<Address>,
 }
 
 impl Snapshot {
@@ -168,6 +186,7 @@ impl Snapshot {
             lake: lake.clone(),
             files,
             sums: listing.sums,
+            address: None,
         })
     }
 
@@ -177,6 +196,7 @@ impl Snapshot {
             lake: self.lake.clone(),
             files,
             sums: Vec::new(),
+            address: self.address.clone(),
         }
     }
 
@@ -190,14 +210,8 @@ impl Snapshot {
     /// # Errors
     /// A file that the answer needs is damaged, or the question is refused.
     pub async fn ask(&self, asked: &str, values: Vec<ScalarValue>) -> Result<Answer, QueryError> {
-        let sql = sql(asked)?;
         let config = SessionConfig::new().with_information_schema(true);
-        let context = self.context(config).await?;
-        let only_read = SQLOptions::new()
-            .with_allow_ddl(false)
-            .with_allow_dml(false)
-            .with_allow_statements(false);
-        let mut frame = context.sql_with_options(sql, only_read).await?;
+        let mut frame = planned(&self.context(config).await?, asked).await?;
         if !values.is_empty() {
             frame = frame.with_param_values(values)?;
         }
@@ -213,7 +227,10 @@ impl Snapshot {
         let context = self.table(config)?;
         for (name, view) in views() {
             match name {
-                SUMS => context.register_table(name, Arc::new(SumsTable::new(self).await?))?,
+                // A cluster adds up rows: sums are read and checked in this process.
+                SUMS if self.address.is_none() => {
+                    context.register_table(name, Arc::new(SumsTable::new(self).await?))?
+                }
                 LAST_CHECKS => {
                     let last = self.only(self.last_files());
                     context.register_table(name, last.view(name).await?)?
@@ -245,7 +262,7 @@ impl Snapshot {
         // DuckDB's word for it.
         let last = (*last_value_udaf()).clone().with_aliases(["last"]);
         context.register_udaf(last);
-        let checks = ChecksTable::new(&self.lake, &self.files)?;
+        let checks = ChecksTable::new(&self.lake, &self.files, self.address.as_ref())?;
         context.register_table("checks", Arc::new(checks))?;
         Ok(context)
     }

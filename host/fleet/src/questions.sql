@@ -126,7 +126,7 @@ SELECT station, tool, serial, tooth, flank, patch, simulated, die_at AS last_che
 FROM (
     SELECT *, row_number() OVER (PARTITION BY simulated, tool, serial, place
         ORDER BY at_least NULLS LAST, left_strokes NULLS LAST, d NULLS LAST, tooth, flank, patch) AS place_in_die,
-        count(*) FILTER (WHERE why_not = 'the last day left the line') OVER (PARTITION BY simulated, tool, serial, place) AS off_line
+        count(CASE WHEN why_not = 'the last day left the line' THEN 1 END) OVER (PARTITION BY simulated, tool, serial, place) AS off_line
     FROM (
         SELECT *, CASE WHEN why_not IS NULL THEN greatest(d / slope, 0.0) END AS left_strokes,
             -- The strokes x at which slope * x + z * sqrt(u_d^2 + (u_slope * x)^2) reaches the distance d; z is 1.645: one side, 95 %.

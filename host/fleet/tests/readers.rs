@@ -133,54 +133,22 @@ fn the_last_check_is_when_it_is_said_to_be() {
 #[cfg(feature = "s3")]
 #[test]
 fn a_lake_in_a_server_that_speaks_s3_is_the_same_lake() {
-    use std::io::{BufRead, BufReader};
-    use std::process::Stdio;
-
     let Some(python) = lake_readers() else {
         return;
     };
-    let mut server = Command::new(&python)
-        .arg(script())
-        .arg("--s3")
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut endpoint = String::new();
-    BufReader::new(server.stdout.take().unwrap())
-        .read_line(&mut endpoint)
-        .unwrap();
-    let endpoint = endpoint.trim().to_owned();
+    let (mut server, environment) = histories::s3_server(&python);
     let station = Station::new("press 7/ä");
     station.store(200);
     station.date(|id| minute_of_march(id * 12));
     let fleet = |arguments: &[&str]| {
         let mut command = fleet!(station, arguments);
-        let environment = [
-            ("AWS_ENDPOINT", &endpoint[..]),
-            ("AWS_ALLOW_HTTP", "true"),
-            ("AWS_ACCESS_KEY_ID", "of a test"),
-            ("AWS_SECRET_ACCESS_KEY", "of a test"),
-            ("AWS_REGION", "eu-central-1"),
-        ];
-        let output = command.envs(environment).output().unwrap();
+        let output = command.envs(environment.clone()).output().unwrap();
         (
             output.status.code(),
             String::from_utf8(output.stdout).unwrap(),
         )
     };
     let url = "s3://lake/of/all";
-    let bucket = "import boto3, sys; boto3.client('s3', endpoint_url=sys.argv[1], region_name='eu-central-1', \
-        aws_access_key_id='t', aws_secret_access_key='t').create_bucket(Bucket='lake', \
-        CreateBucketConfiguration={'LocationConstraint': 'eu-central-1'})";
-    assert!(
-        Command::new(&python)
-            .args(["-c", bucket, &endpoint])
-            .status()
-            .unwrap()
-            .success()
-    );
     let history = station.history();
     let ship = [
         "ship",

@@ -18,6 +18,9 @@ pub const OPCUA_CLIENTS: &str = "target/opcua-clients/bin/python";
 /// Where [`lake_readers`] looks, from the repository.
 pub const LAKE_READERS: &str = "target/lake-readers/bin/python";
 
+/// Where [`ballista`] looks, from the repository, before the shell's own places.
+pub const BALLISTA: &str = "target/ballista/bin";
+
 /// Where [`dfq_reader`] looks, from the repository.
 pub const DFQ_READER: &str = "target/dfq-reader/bin/python";
 
@@ -257,6 +260,20 @@ pub fn opcua_clients() -> Option<PathBuf> {
 #[must_use]
 pub fn lake_readers() -> Option<PathBuf> {
     environment(LAKE_READERS)
+}
+
+/// Ballista's scheduler and executor, as they are published.
+///
+/// # Panics
+/// One of them is missing although everything must run.
+#[must_use]
+pub fn ballista() -> Option<[PathBuf; 2]> {
+    let found = |name: &str| {
+        let own = workspace().join(BALLISTA).join(name);
+        let found = own.is_file().then_some(own).or_else(|| on_path(name));
+        found.or_else(|| missed(&format!("{name} (tools/peers/README.md)")))
+    };
+    Some([found("ballista-scheduler")?, found("ballista-executor")?])
 }
 
 /// Python with another's reader of DFQ files.

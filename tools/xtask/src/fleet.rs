@@ -1,12 +1,16 @@
-//! The fleet's program with all its features, a workspace of its own: formatted, linted, tested beside other people's readers of its files.
+//! The fleet's program with its features, a workspace of its own: formatted, linted, tested beside other people's readers of its files.
 
 use std::path::Path;
 use std::process::Command;
 
-use flankscope_test_requisites::LAKE_READERS;
+use flankscope_test_requisites::{BALLISTA, LAKE_READERS};
 
 use crate::python::environment;
 use crate::{cargo, run, target};
+
+/// Features that are tested in any case, and all where Ballista's programs are installed: without them its client need not be built.
+const FEATURES: &str = "s3,serve";
+const WITH_CLUSTER: &str = "s3,serve,cluster";
 
 /// The workspace.
 pub const FLEET: &str = "host/fleet";
@@ -14,6 +18,13 @@ pub const FLEET: &str = "host/fleet";
 /// Its checks; `all`: the long ones, too, and none may be missed.
 pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
     readers(root)?;
+    let features = match root.join(BALLISTA).is_dir() {
+        true => WITH_CLUSTER,
+        false => {
+            eprintln!("SKIPPED: the cluster: {BALLISTA} is missing (tools/peers/README.md)");
+            FEATURES
+        }
+    };
     let command = |arguments: &[&str]| {
         let mut command = cargo(arguments);
         // Built once for the workspace, not in a folder of its own.
@@ -27,13 +38,14 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
     run(command(&[
         "clippy",
         "--all-targets",
-        "--all-features",
+        "--features",
+        features,
         "--locked",
         "--",
         "-D",
         "warnings",
     ]))?;
-    let mut test = command(&["test", "--all-features", "--locked"]);
+    let mut test = command(&["test", "--features", features, "--locked"]);
     if all {
         test.env("FLANKSCOPE_TEST_ALL", "1");
     }

@@ -14,8 +14,8 @@ use datafusion::parquet::arrow::async_reader::AsyncFileReader;
 use datafusion::parquet::errors::ParquetError;
 use datafusion::parquet::file::metadata::{ParquetMetaData, ParquetMetaDataReader};
 use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
-use futures_util::FutureExt;
 use futures_util::future::BoxFuture;
+use futures_util::{FutureExt, StreamExt, TryStreamExt};
 
 use crate::file::{FileError, VERSION_KEY, check_columns, check_version};
 use crate::lake::{Lake, LakeError};
@@ -24,10 +24,37 @@ use crate::name::FileName;
 /// Bytes at the end of a file that are read at once: its metadata take less.
 const METADATA_BYTES: usize = 1 << 15;
 
+/// Files whose metadata are checked at a time.
+const AT_A_TIME: usize = 32;
+
 /// Opens files of a lake.
 #[derive(Debug)]
 pub(super) struct LakeFileReaders {
     pub lake: Lake,
+}
+
+impl LakeFileReaders {
+    fn reader(&self, file: &PartitionedFile) -> LakeFileReader {
+        LakeFileReader {
+            lake: self.lake.clone(),
+            bytes: file.object_meta.size,
+            name: file.extension::<FileName>().cloned(),
+        }
+    }
+
+    /// Checks the files' metadata as reading them does, for an engine that reads them with a reader of its own.
+    ///
+    /// # Errors
+    /// One cannot be read, is cut short or of a newer release.
+    pub async fn check(&self, files: &[PartitionedFile]) -> EngineResult<()> {
+        let readers: Vec<LakeFileReader> = files.iter().map(|file| self.reader(file)).collect();
+        let checks = readers.into_iter().map(|mut reader| async move {
+            reader.get_metadata(None).await?;
+            Ok(())
+        });
+        let checks = futures_util::stream::iter(checks);
+        checks.buffer_unordered(AT_A_TIME).try_collect().await
+    }
 }
 
 impl ParquetFileReaderFactory for LakeFileReaders {
@@ -38,11 +65,7 @@ impl ParquetFileReaderFactory for LakeFileReaders {
         _metadata_bytes: Option<usize>,
         _metrics: &ExecutionPlanMetricsSet,
     ) -> EngineResult<Box<dyn AsyncFileReader + Send>> {
-        Ok(Box::new(LakeFileReader {
-            lake: self.lake.clone(),
-            bytes: file.object_meta.size,
-            name: file.extension::<FileName>().cloned(),
-        }))
+        Ok(Box::new(self.reader(&file)))
     }
 }
 

@@ -42,6 +42,7 @@ pub(crate) async fn of_rows(lake: &Lake, files: Vec<Listed>) -> Result<Vec<u8>, 
         lake: lake.clone(),
         files,
         sums: Vec::new(),
+        address: None,
     };
     let context = day.context(SessionConfig::new().with_target_partitions(1));
     let in_order = "SELECT * FROM sums ORDER BY date, simulated, tool, serial, place, run, station, baseline, head_blake3, tooth, flank, patch";
@@ -155,7 +156,9 @@ impl TableProvider for SumsTable {
         _filters: &[Expr],
         _limit: Option<usize>,
     ) -> EngineResult<Arc<dyn ExecutionPlan>> {
-        let Snapshot { lake, files, sums } = &self.snapshot;
+        let Snapshot {
+            lake, files, sums, ..
+        } = &self.snapshot;
         let days = days(files.iter().map(|file| &file.name));
         let source = |name: &SumsName| days.get(&name.date[..]).map(|day| &day.source);
         let valid = sums

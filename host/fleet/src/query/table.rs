@@ -5,7 +5,7 @@ use std::sync::Arc;
 use async_trait::async_trait;
 use datafusion::arrow::datatypes::{DataType, Field, FieldRef, Schema, SchemaRef, TimeUnit};
 use datafusion::catalog::{Session, TableProvider};
-use datafusion::common::{DFSchema, Result as EngineResult, ScalarValue};
+use datafusion::common::{DFSchema, Result as EngineResult, ScalarValue, project_schema};
 use datafusion::datasource::TableType;
 use datafusion::datasource::listing::PartitionedFile;
 use datafusion::datasource::listing::helpers::{expr_applicable_for_cols, filter_partitioned_file};
@@ -14,10 +14,13 @@ use datafusion::datasource::source::DataSourceExec;
 use datafusion::datasource::table_schema::TableSchema;
 use datafusion::execution::object_store::ObjectStoreUrl;
 use datafusion::logical_expr::{Expr, TableProviderFilterPushDown};
+use datafusion::object_store::path::Path;
 use datafusion::physical_plan::ExecutionPlan;
+use datafusion::physical_plan::empty::EmptyExec;
 
 use super::file_reader::LakeFileReaders;
-use crate::lake::{Lake, Listed};
+use crate::lake::{Address, Lake, Listed};
+use crate::name::FileName;
 use crate::rows::{COLUMNS, Column, Kind, Level};
 
 /// Columns that are not in the files but in their folders' names.
@@ -29,45 +32,61 @@ pub(super) struct ChecksTable {
     schema: TableSchema,
     files: Vec<PartitionedFile>,
     readers: Arc<LakeFileReaders>,
+    /// Where the processes of a cluster read the files, by readers that check nothing; `None`: they are read here.
+    address: Option<Address>,
 }
 
 impl ChecksTable {
     /// # Errors
     /// A folder's date is none.
-    pub fn new(lake: &Lake, files: &[Listed]) -> EngineResult<Self> {
+    pub fn new(lake: &Lake, files: &[Listed], address: Option<&Address>) -> EngineResult<Self> {
+        // Ballista advises against views in what it sends between processes.
+        let plain = address.is_some();
         let [station, date] = OF_FOLDERS;
         let of_folders: Vec<FieldRef> = vec![
-            Arc::new(Field::new(station, DataType::Utf8View, false)),
+            Arc::new(Field::new(station, text(plain), false)),
             Arc::new(Field::new(date, DataType::Date32, false)),
         ];
-        let columns: Vec<Field> = COLUMNS.iter().map(field).collect();
+        let columns: Vec<Field> = COLUMNS.iter().map(|column| field(column, plain)).collect();
         Ok(Self {
             schema: TableSchema::builder(Arc::new(Schema::new(columns)))
                 .with_table_partition_cols(of_folders)
                 .build(),
-            files: files.iter().map(partitioned).collect::<EngineResult<_>>()?,
+            files: files
+                .iter()
+                .map(|file| partitioned(file, plain))
+                .collect::<EngineResult<_>>()?,
             readers: Arc::new(LakeFileReaders { lake: lake.clone() }),
+            address: address.cloned(),
         })
     }
 }
 
-fn field(column: &Column) -> Field {
+fn text(plain: bool) -> DataType {
+    match plain {
+        true => DataType::Utf8,
+        false => DataType::Utf8View,
+    }
+}
+
+fn field(column: &Column, plain: bool) -> Field {
     let kind = match (column.kind, column.level) {
-        (Kind::Text, _) => DataType::Utf8View,
+        (Kind::Text, _) => text(plain),
         (Kind::Integer, Level::Flank) => DataType::Int32,
         (Kind::Integer, Level::Check) => DataType::Int64,
         (Kind::Real, _) => DataType::Float64,
         (Kind::Boolean, _) => DataType::Boolean,
+        (Kind::Digest, _) if plain => DataType::Binary,
         (Kind::Digest, _) => DataType::BinaryView,
         (Kind::Time, _) => DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into())),
     };
     Field::new(column.name, kind, !column.required)
 }
 
-fn partitioned(file: &Listed) -> EngineResult<PartitionedFile> {
+fn partitioned(file: &Listed, plain: bool) -> EngineResult<PartitionedFile> {
     let range = &file.name.range;
     let values = vec![
-        ScalarValue::Utf8View(Some(range.station.clone())),
+        ScalarValue::try_from_string(range.station.clone(), &text(plain))?,
         ScalarValue::try_from_string(range.date.clone(), &DataType::Date32)?,
     ];
     Ok(PartitionedFile::new(file.name.to_string(), file.bytes)
@@ -114,10 +133,28 @@ impl TableProvider for ChecksTable {
                 &folders,
             )?);
         }
-        let source = ParquetSource::new(self.schema.clone())
-            .with_parquet_file_reader_factory(Arc::clone(&self.readers) as _);
-        // Files are read through the lake; the address only says that they all are of one place.
-        let scan = FileScanConfigBuilder::new(ObjectStoreUrl::local_filesystem(), Arc::new(source))
+        if files.is_empty() {
+            let schema = project_schema(self.schema.table_schema(), projection)?;
+            return Ok(Arc::new(EmptyExec::new(schema)));
+        }
+        let mut source = ParquetSource::new(self.schema.clone());
+        let store = match &self.address {
+            None => {
+                source = source.with_parquet_file_reader_factory(Arc::clone(&self.readers) as _);
+                // Files are read through the lake; the address only says that they all are of one place.
+                ObjectStoreUrl::local_filesystem()
+            }
+            Some(Address { store, prefix }) => {
+                self.readers.check(&files).await?;
+                for file in &mut files {
+                    let name = file.extension::<FileName>().map(ToString::to_string);
+                    let path = format!("{prefix}/{}", name.unwrap_or_default());
+                    file.object_meta.location = Path::parse(path)?;
+                }
+                ObjectStoreUrl::parse(store)?
+            }
+        };
+        let scan = FileScanConfigBuilder::new(store, Arc::new(source))
             .with_file_groups(FileGroup::new(files).split_files(state.config().target_partitions()))
             .with_projection_indices(projection.cloned())?
             .with_limit(limit)

@@ -1,6 +1,8 @@
 //! Histories of checks that nobody made, written by the instrument's own code, and lakes to ship them into.
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 
 use flankscope_fleet::lake::Lake;
 use flankscope_fleet::ship::{ShipError, Shipped, Shipper};
@@ -207,6 +209,34 @@ impl Station {
             shipper.pass(today).await
         })
     }
+}
+
+/// A server that speaks S3, with an empty bucket `lake`, and the environment in which programs find it.
+#[allow(dead_code)]
+pub fn s3_server(python: &Path) -> (Child, [(&'static str, String); 5]) {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/peers/lake_readers.py");
+    let mut server = Command::new(python);
+    server.arg(script).arg("--s3").stderr(Stdio::null());
+    let piped = server.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut server = piped.spawn().unwrap();
+    let mut endpoint = String::new();
+    BufReader::new(server.stdout.take().unwrap())
+        .read_line(&mut endpoint)
+        .unwrap();
+    let bucket = "import boto3, sys; boto3.client('s3', endpoint_url=sys.argv[1], region_name='eu-central-1', \
+        aws_access_key_id='t', aws_secret_access_key='t').create_bucket(Bucket='lake', \
+        CreateBucketConfiguration={'LocationConstraint': 'eu-central-1'})";
+    let mut made = Command::new(python);
+    let made = made.args(["-c", bucket, endpoint.trim()]).status();
+    assert!(made.unwrap().success());
+    let environment = [
+        ("AWS_ENDPOINT", endpoint.trim().to_owned()),
+        ("AWS_ALLOW_HTTP", "true".into()),
+        ("AWS_ACCESS_KEY_ID", "of a test".into()),
+        ("AWS_SECRET_ACCESS_KEY", "of a test".into()),
+        ("AWS_REGION", "eu-central-1".into()),
+    ];
+    (server, environment)
 }
 
 /// Runs to the end.
