@@ -1,7 +1,5 @@
 //! What stages, pattern projector and camera have to do in a run, and its conversion to the controller's capture plan.
 
-use std::time::Duration;
-
 use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::LensDrive;
 use flankscope_protocol::{
@@ -10,12 +8,6 @@ use flankscope_protocol::{
 };
 
 use crate::settings::{Light, Stages, Timing};
-
-/// Stages come to a stop within this after an abort.
-const STOPPING: Duration = Duration::from_millis(300);
-
-/// What an abort may be late on its way through host, line and controller.
-const ABORT_LATENCY: Duration = Duration::from_millis(400);
 
 /// Position of the stages for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -134,32 +126,6 @@ impl Program {
         f64::from(self.timing.settle_ms) / 1e3
     }
 
-    /// Time to stop and to leave the die from the lowest view.
-    pub fn leaving_time(&self) -> Duration {
-        let retract = micrometres(self.retract_mm);
-        let ways = self.positions.iter().map(|at| {
-            let from = at.view().vertical;
-            self.stage.vertical.travel_time(from, retract)
-        });
-        let way_us = ways.map(Microseconds::get).max().unwrap_or(0);
-        STOPPING + Duration::from_micros(u64::from(way_us)) + ABORT_LATENCY
-    }
-
-    /// Time to move from one view to another and to settle there.
-    pub fn moving_time(&self, from: usize, to: usize) -> Duration {
-        let at = |view: usize| self.positions.get(view).map(StagePosition::view);
-        let (Some(from), Some(to)) = (at(from), at(to)) else {
-            return Duration::ZERO;
-        };
-        let StageConfig {
-            rotation, vertical, ..
-        } = &self.stage;
-        let turn = rotation.travel_time(from.rotation, to.rotation);
-        let lift = vertical.travel_time(from.vertical, to.vertical);
-        Duration::from_micros(u64::from(turn.max(lift).get()))
-            + Duration::from_millis(u64::from(self.timing.settle_ms))
-    }
-
     /// The capture plan for some of the program's views, under its own session number.
     ///
     /// # Errors
@@ -224,12 +190,14 @@ impl Program {
     }
 }
 
-fn micrometres(mm: f64) -> Micrometres {
+pub(super) fn micrometres(mm: f64) -> Micrometres {
     Micrometres((mm * 1e3).round() as i32)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
     use flankscope_metrology::kinematics::Moves;
 

@@ -1,13 +1,20 @@
-//! Order in which views are visited: the one that takes least time, and the parts of that time.
+//! Order in which views are visited: the one that takes least time, the parts of that time, and the time of a single move.
 //!
 //! Both axes move at once, so a leg takes as long as the slower one ([`StageConfig`] has their dynamics). The order is exact, by
 //! Held and Karp's dynamic programme over sets of views (J. SIAM 10, 1962): a million steps for the 16 views that a plan holds.
 
 use std::fmt;
+use std::time::Duration;
 
 use flankscope_protocol::{StageConfig, View};
 
-use super::program::{Program, StagePosition};
+use super::program::{Program, StagePosition, micrometres};
+
+/// Stages come to a stop within this after an abort.
+const STOPPING: Duration = Duration::from_millis(300);
+
+/// What an abort may be late on its way through host, line and controller.
+const ABORT_LATENCY: Duration = Duration::from_millis(400);
 
 /// A route through all views, from the present position of the stages.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,6 +122,27 @@ impl Program {
             exposure_s: self.exposure_s(),
         };
         quickest(&self.stage, start, &views, stay)
+    }
+
+    /// Time to stop and to leave the die from the lowest view.
+    pub fn leaving_time(&self) -> Duration {
+        let vertical = micrometres(self.retract_mm);
+        let ways_us = self.positions.iter().map(|at| {
+            let from = at.view();
+            let [_, lift_us] = axes_us(&self.stage, from, View { vertical, ..from });
+            lift_us
+        });
+        STOPPING + Duration::from_micros(ways_us.max().unwrap_or(0)) + ABORT_LATENCY
+    }
+
+    /// Time to move from one view to another and to settle there.
+    pub fn moving_time(&self, from: usize, to: usize) -> Duration {
+        let at = |view: usize| self.positions.get(view).map(StagePosition::view);
+        let (Some(from), Some(to)) = (at(from), at(to)) else {
+            return Duration::ZERO;
+        };
+        let move_us = cost(&self.stage, from, to).time_us;
+        Duration::from_micros(move_us) + Duration::from_secs_f64(self.settling_s())
     }
 }
 
