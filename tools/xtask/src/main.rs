@@ -74,7 +74,7 @@ fn main() -> ExitCode {
             Err(_) => Err(format!("--checks {count}: a number is needed")),
         },
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
-        ["study", "--scan"] => scan_study::run(&root()),
+        ["study", "--scan"] => clean_commit().and_then(|commit| scan_study::run(&root(), &commit)),
         ["study", rest @ ..] => study(rest),
         ["campaign", rest @ ..] => campaign(rest),
         ["light"] => light::run(&root(), None),
@@ -310,12 +310,7 @@ fn study(rest: &[&str]) -> Result<(), String> {
         let name = Path::new(other).file_stem().unwrap_or_default();
         out = format!("{out}/{}", name.to_string_lossy());
     }
-    let commit = commit();
-    if commit.len() != 40 {
-        return Err(format!(
-            "the study's draws follow from a commit, and every run is logged with it; here is \"{commit}\": commit first"
-        ));
-    }
+    let commit = clean_commit()?;
     let kept = target().join("study");
     let study = [
         "run",
@@ -333,6 +328,17 @@ fn study(rest: &[&str]) -> Result<(), String> {
         &kept.to_string_lossy(),
     ];
     run(cargo(&[&study[..], rest].concat()))
+}
+
+/// The commit that a study's page names, and its draws follow from: that of sources without changes.
+fn clean_commit() -> Result<String, String> {
+    let commit = commit();
+    match commit.len() {
+        40 => Ok(commit),
+        _ => Err(format!(
+            "a study names the commit that it ran on; here is \"{commit}\": commit first"
+        )),
+    }
 }
 
 /// The commit that is checked out, and whether the sources differ from it.

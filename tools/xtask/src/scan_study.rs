@@ -15,13 +15,13 @@ const LAYERS: f64 = 8.0;
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
 /// Scans with every seed and writes `docs/study/scan.md`.
-pub fn run(root: &Path) -> Result<(), String> {
+pub fn run(root: &Path, commit: &str) -> Result<(), String> {
     let mut scans = Vec::new();
     for seed in SEEDS {
         eprintln!("scan {seed} of {}", SEEDS.end());
         scans.push((seed, scan(root, seed)?));
     }
-    let page = page(&scans)?;
+    let page = page(&scans, commit)?;
     let path = root.join("docs/study/scan.md");
     std::fs::write(&path, page).map_err(|error| format!("{}: {error}", path.display()))
 }
@@ -122,9 +122,10 @@ fn steps_line(seed: u64, scan: &Value) -> Result<String, String> {
     ))
 }
 
-fn page(scans: &[(u64, Value)]) -> Result<String, String> {
+fn page(scans: &[(u64, Value)], commit: &str) -> Result<String, String> {
     let mut page = format!(
         "# What a scan keeps of the die's form\n\n\
+         Made by `cargo xtask study --scan` at commit `{commit}`.\n\n\
          A die that is {OVALITY_UM} µm oval and {TAPER_UM} µm conical, put on the simulated bench 0.5 mm off and 0.2° askew, \
          with a hand-eye known to 1° and 0.5 mm, an encoder with harmonics and axes that are not parallel; {VIEWS} views, \
          every seed with other errors. The same captured views are stitched in one joint solve on the surface (`surface`) and \
@@ -132,7 +133,6 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
          distances in the merged map, `one view` and `merged` are mean ± standard deviation by the method's own metric. A drift is \
          the part of where the views lie, against what all of them share, that neighbours in a layer have in common \
          (Durbin–Watson beyond chance).\n\n\
-         ```sh\ncargo xtask study --scan\n```\n\n\
          | seed | method | ovality, µm | taper, µm | exact, µm | one view, µm | merged, µm | drift of places, µm | stitching, s |\n\
          |---|---|---|---|---|---|---|---|---|\n"
     );
