@@ -4,6 +4,7 @@
 
 mod histories;
 mod made_up;
+mod same_rows;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -58,31 +59,9 @@ fn answers(lake: &Lake) -> BTreeMap<String, Vec<Value>> {
     answered.collect()
 }
 
-/// The same but for what the order of additions does to the last digits.
-fn assert_same(one: &Value, other: &Value, what: &str) {
-    match (one, other) {
-        (Value::Array(one), Value::Array(other)) => {
-            assert_eq!(one.len(), other.len(), "{what}");
-            for (n, (one, other)) in one.iter().zip(other).enumerate() {
-                assert_same(one, other, &format!("{what}, row {n}"));
-            }
-        }
-        (Value::Object(one), Value::Object(other)) => {
-            assert!(one.keys().eq(other.keys()), "{what}");
-            for (column, value) in one {
-                assert_same(value, &other[column], &format!("{what}, {column}"));
-            }
-        }
-        (Value::Number(a), Value::Number(b)) if a.is_f64() && b.is_f64() => {
-            let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
-            let off = (a - b).abs();
-            assert!(
-                off <= 1e-9 * a.abs().max(b.abs()).max(1.0),
-                "{what}: {a} {b}"
-            );
-        }
-        _ => assert_eq!(one, other, "{what}"),
-    }
+/// A machine alone adds up the same rows, by days first.
+fn assert_same(found: &Value, expected: &Value, what: &str) {
+    same_rows::assert_same(found, expected, |value| 1e-9 * value.abs().max(1.0), what);
 }
 
 fn assert_all_same(

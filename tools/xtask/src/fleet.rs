@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use flankscope_test_requisites::{BALLISTA, LAKE_READERS};
+use flankscope_test_requisites::{LAKE_READERS, ballista};
 
 use crate::python::environment;
 use crate::{cargo, run, target};
@@ -18,12 +18,10 @@ pub const FLEET: &str = "host/fleet";
 /// Its checks; `all`: the long ones, too, and none may be missed.
 pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
     readers(root)?;
-    let features = match root.join(BALLISTA).is_dir() {
-        true => WITH_CLUSTER,
-        false => {
-            eprintln!("SKIPPED: the cluster: {BALLISTA} is missing (tools/peers/README.md)");
-            FEATURES
-        }
+    let features = if ballista().is_some() {
+        WITH_CLUSTER
+    } else {
+        FEATURES
     };
     let command = |arguments: &[&str]| {
         let mut command = cargo(arguments);

@@ -212,17 +212,17 @@ impl<O: Send + 'static> Acquisition<O> {
                             }
                         }
                     }
-                    // The press is released even if views are still missing.
-                    let needed = run.timeline.elapsed() + until_next_event + leaving;
-                    if !done && !retracting && run.hold_limit.is_some_and(|limit| needed > limit) {
-                        run.hold_limit = None;
-                        failure.get_or_insert(Stop::HoldLimit);
-                        client.order(&Command::Abort).await?;
-                    }
                     // All triggers have been fired once the head retracts, so the last views need not wait for more.
                     if (retracting || done) && !closing {
                         self.order(Order::Close)?;
                         closing = true;
+                    }
+                    // The press is released even if views are still missing; a head on its way out is left alone.
+                    let needed = run.timeline.elapsed() + until_next_event + leaving;
+                    if !closing && run.hold_limit.is_some_and(|limit| needed > limit) {
+                        run.hold_limit = None;
+                        failure.get_or_insert(Stop::HoldLimit);
+                        client.order(&Command::Abort).await?;
                     }
                     if done {
                         captured = Some(Instant::now() + FRAME_PATIENCE);
