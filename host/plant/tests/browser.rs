@@ -174,7 +174,10 @@ fn a_page_that_is_open_for_a_day_of_checks_does_not_grow() {
     let boards_bytes = 1000.0 * f64::from(BOARDS * 9 / 10);
     let [bytes, elements, listeners] = [0, 1, 2].map(|of| after[of] - before[of]);
     assert!(bytes < boards_bytes / 4.0, "{before:?} {after:?}");
-    assert!(elements < 20.0 && listeners <= 0.0, "{before:?} {after:?}");
+    // One or two boards may be on their way while it is counted; an element that stayed of every tenth board is found.
+    let most_elements = f64::from(BOARDS * 9 / 10) / 10.0;
+    let grows = elements >= most_elements || listeners > 0.0;
+    assert!(!grows, "{before:?} {after:?}");
     assert!(
         1000.0 * (server_kb - server_before_kb) < boards_bytes,
         "the server: {server_before_kb} kB, then {server_kb} kB"
