@@ -18,7 +18,7 @@ pub fn assert_same(found: &Value, expected: &Value, most_off: fn(f64) -> f64, wh
                 assert_same(&found[column], value, most_off, &what);
             }
         }
-        (Value::Number(found), Value::Number(expected)) if expected.is_f64() => {
+        (Value::Number(found), Value::Number(expected)) if found.is_f64() && expected.is_f64() => {
             let (found, expected) = (found.as_f64().unwrap(), expected.as_f64().unwrap());
             assert!(
                 (found - expected).abs() <= most_off(expected),
