@@ -1,6 +1,10 @@
 //! What the cross-crate tests share: the command under test and its answers.
 
 pub mod die;
+mod fixture;
+
+use fixture::write_demo;
+pub use fixture::{fixture, small_target, small_tool, write_small_tool};
 
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
@@ -110,16 +114,14 @@ pub fn demo_gear() -> GearSpec {
     }
 }
 
-/// The demo tool's files with a head that says it was calibrated at a press, and that passed its test today: what a real link
+/// The demo tool's files with a small head that says it was calibrated at a press, and that passed its test today: what a real link
 /// demands. Returns the folder as an argument.
 ///
 /// # Panics
 /// It cannot be written.
 #[must_use]
 pub fn press_tool(folder: &Path) -> String {
-    let path = folder.to_str().expect("UTF-8").to_owned();
-    let written = run(flankscope().args(["bench", "demo-tool", "--out", &path]));
-    assert_eq!(written.code, 0, "{}", written.stderr);
+    write_small_tool(folder);
     let file = folder.join("head.toml");
     let mut head = HeadModel::load(&file).expect("the demo's head");
     let today = Date::today();
@@ -162,7 +164,7 @@ pub fn press_tool(folder: &Path) -> String {
         let trusted = run(trust.args(["--quiet", "--name", "tester"]));
         assert_eq!(trusted.code, 0, "{}", trusted.stderr);
     }
-    path
+    folder.to_str().expect("UTF-8").to_owned()
 }
 
 /// A bench file with these lines, as the options that name it. It lies with the station's key, and goes with it.
@@ -195,12 +197,43 @@ pub struct Run {
     pub stderr: String,
 }
 
-/// Runs `flankscope inspect --quiet --json -` with more arguments, as fast as the bench can.
+/// Adds the demo tool with the small head to a command, unless its arguments name another tool or head.
+pub fn with_small_head<'a>(command: &'a mut Command, arguments: &[&str]) -> &'a mut Command {
+    let names = |options: &[&str]| options.iter().any(|option| arguments.contains(option));
+    if !names(&["--tool", "--head"]) {
+        command.args(["--tool", small_tool()]);
+        // A recording is no link.
+        if !names(&["--link", "--frames", "--clouds"]) {
+            command.args(["--link", "sim"]);
+        }
+    }
+    command.args(arguments)
+}
+
+/// Runs `flankscope inspect --quiet --json -` with more arguments, before the small head unless they name another, as fast as the
+/// bench can.
 ///
 /// # Panics
 /// The command does not start or is killed.
 #[must_use]
 pub fn inspect(arguments: &[&str]) -> Run {
+    let mut command = flankscope();
+    with_small_head(
+        command.args(["inspect", "--quiet", "--json", "-"]),
+        arguments,
+    );
+    if !arguments.contains(&"--speed") {
+        command.args(["--speed", "max"]);
+    }
+    run(&mut command)
+}
+
+/// As [`inspect`], before the built-in demo's head of 100 000 cores: for what only its optics can show.
+///
+/// # Panics
+/// As [`inspect`].
+#[must_use]
+pub fn inspect_full(arguments: &[&str]) -> Run {
     let mut command = flankscope();
     command
         .args(["inspect", "--quiet", "--json", "-"])
@@ -219,6 +252,16 @@ pub fn inspect(arguments: &[&str]) -> Run {
 pub fn inspect_on(lines: &str, arguments: &[&str]) -> Run {
     let [option, file] = bench(lines);
     inspect(&[&[&*option, &*file], arguments].concat())
+}
+
+/// As [`inspect_on`], before the built-in demo's head.
+///
+/// # Panics
+/// As [`inspect_on`].
+#[must_use]
+pub fn inspect_full_on(lines: &str, arguments: &[&str]) -> Run {
+    let [option, file] = bench(lines);
+    inspect_full(&[&[&*option, &*file], arguments].concat())
 }
 
 /// Runs a command to its end.
@@ -271,18 +314,14 @@ impl Run {
     }
 }
 
-/// The demo tool in `folder` with limits around 30 µm and no uncertainty but noise, and with `more` lines in `[inspect]`;
+/// The demo tool with a head of the bench (`small`, `20mm`) in `folder`, with limits around 30 µm and no uncertainty but noise, and with `more` lines in `[inspect]`;
 /// returns the folder's name.
 ///
 /// # Panics
 /// It cannot be written.
 #[must_use]
-pub fn tool_of_noise_alone(folder: &Path, more: &str) -> String {
-    let made = flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(folder)
-        .status();
-    assert!(made.is_ok_and(|status| status.success()));
+pub fn tool_of_noise_alone(folder: &Path, head: &str, more: &str) -> String {
+    write_demo("demo-tool", head, folder);
     edit(&folder.join("tool.toml"), |text| {
         text.replace("chord_error_um = 0.2", "chord_error_um = 0.0")
             .replace("warn_um = 30.0", "warn_um = 20.0")
@@ -294,18 +333,14 @@ pub fn tool_of_noise_alone(folder: &Path, more: &str) -> String {
     folder.display().to_string()
 }
 
-/// The demo head without its core map, whose points are blocks of pixels, in this folder; the file's name.
+/// The small head without its core map, whose points are blocks of pixels, in this folder; the file's name.
 ///
 /// # Panics
 /// It cannot be written.
 #[must_use]
 pub fn head_of_pixels(folder: &Path) -> String {
     let folder = folder.join("pixels");
-    let made = flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(&folder)
-        .status();
-    assert!(made.is_ok_and(|status| status.success()));
+    write_small_tool(&folder);
     let head = folder.join("head.toml");
     edit(&head, |text| {
         let (before, rest) = text

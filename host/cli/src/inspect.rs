@@ -15,7 +15,7 @@ use flankscope_report::{ReportFolder, Words, figure};
 use crate::bench_link::{BenchSetup, CameraArgs, DieArgs, setup_with_camera};
 use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
-use crate::interrupt;
+use crate::interrupt::{self, DeferredExit};
 use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
 use crate::progress::Watcher;
 use crate::site::Site;
@@ -65,6 +65,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
+    let _results_are_stored = DeferredExit::until_dropped();
     let quiet = args.common.quiet;
     let bench = setup_with_camera(&args.die, &args.camera)?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;

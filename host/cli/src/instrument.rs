@@ -25,6 +25,7 @@ use crate::camera_process::CameraProcess;
 use crate::output::say;
 use crate::scene::Scene;
 use crate::site::{Place, Site, station_file, user_name};
+use crate::interrupt::DeferredExit;
 use crate::{help, interrupt};
 
 /// Which tool is looked at through which controller.
@@ -158,6 +159,8 @@ pub struct Instrument<J = Job<ViewOutcome>> {
     _camera: Option<CameraProcess>,
     _root: Arc<SharedRoot>,
     scratch: RunFolder,
+    /// The head may be in the die.
+    _deferred: DeferredExit,
 }
 
 impl Instrument {
@@ -290,6 +293,7 @@ impl<J> Instrument<J> {
         job: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<J>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
+        let deferred = DeferredExit::until_dropped();
         // The shared-memory services must exist when the camera process connects.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let job = job(Arc::clone(&root))?;
@@ -305,6 +309,7 @@ impl<J> Instrument<J> {
                 _camera: None,
                 _root: root,
                 scratch,
+                _deferred: deferred,
             });
         };
         let command = &site.settings.camera.command;
@@ -321,6 +326,7 @@ impl<J> Instrument<J> {
             _camera: camera,
             _root: root,
             scratch,
+            _deferred: deferred,
         })
     }
 

@@ -1,8 +1,8 @@
 //! Ctrl-C and SIGTERM. The first signal retracts the head and keeps the measurements; the second ends the program at once.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::OnceLock;
 use std::thread;
-use std::time::Duration;
 
 use anyhow::Context;
 use flankscope_instrument::controller::Interrupt;
@@ -13,11 +13,29 @@ use crate::output::say;
 
 /// Exit code of an interrupted program, as shells report SIGINT.
 pub const EXIT_CODE: u8 = 130;
-/// A head takes a second to retract, and a view as long to be evaluated. The program then ends even if that is not complete:
-/// without heartbeats, the controller retracts by itself.
-const PATIENCE: Duration = Duration::from_millis(2500);
 
 static INTERRUPT: OnceLock<Interrupt> = OnceLock::new();
+/// Number of [`DeferredExit`]s.
+static DEFERRED: AtomicUsize = AtomicUsize::new(0);
+
+/// While one exists, the first signal leaves the program running until measured results are stored, however slow the machine is.
+/// No deadline ends it: people are protected by the controller, which retracts by itself when heartbeats stop.
+pub struct DeferredExit(());
+
+impl DeferredExit {
+    /// Defers the exit until the returned value is dropped.
+    #[must_use]
+    pub fn until_dropped() -> Self {
+        DEFERRED.fetch_add(1, Ordering::SeqCst);
+        Self(())
+    }
+}
+
+impl Drop for DeferredExit {
+    fn drop(&mut self) {
+        DEFERRED.fetch_sub(1, Ordering::SeqCst);
+    }
+}
 
 /// Installs the handlers and returns the interrupt that reports the first signal. From here on signals do not end the program by
 /// themselves.
@@ -32,14 +50,13 @@ pub fn on_signals() -> anyhow::Result<Interrupt> {
             if number > 0 {
                 leave("ended at once");
             }
+            interrupter.interrupt();
+            if DEFERRED.load(Ordering::SeqCst) == 0 {
+                leave("ended during an evaluation: what was stored before is kept");
+            }
             say(
                 "stopping: the head is retracted, and results so far are kept; interrupt again to end at once",
             );
-            interrupter.interrupt();
-            thread::spawn(|| {
-                thread::sleep(PATIENCE);
-                leave("ended during an evaluation: what was stored before is kept");
-            });
         }
     };
     let thread = thread::Builder::new().name("signals".into()).spawn(listen);

@@ -19,7 +19,7 @@ use crate::bench_link::{DieArgs, WearRateArgs, setup_with_press};
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
-use crate::interrupt;
+use crate::interrupt::{self, DeferredExit};
 use crate::live::LiveWatch;
 use crate::output::{Common, Complaints, Outcome, say, try_report};
 use crate::terminal::Terminal;
@@ -60,6 +60,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
+    let _summary_is_written = DeferredExit::until_dropped();
     let site = args.source.site()?.with_own_stages("a watch")?;
     let bench = setup_with_press(&args.die, &args.press)?;
     // Before anything moves: a watch whose results cannot be written should not begin.

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use flankscope_tests::{Killed, flankscope, run};
+use flankscope_tests::{Killed, flankscope, run, with_small_head};
 use station::{Plant, Printed, Station, plant, printed};
 
 const ROUTES: [&str; 11] = [
@@ -131,10 +131,9 @@ fn a_no_go_is_acknowledged_by_name_and_reason_and_the_watch_obeys() {
     plant.page_with("/now", "No watch is running");
     let mut watch = flankscope();
     watch.args([
-        "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "12", "--cycles",
-        "5000",
+        "watch", "--speed", "10", "--every", "12", "--cycles", "5000",
     ]);
-    watch
+    with_small_head(&mut watch, &["--teeth", "40"])
         .args(["--wear-rate", "40:left:40", "--history"])
         .arg(station.history());
     let watch = watch
@@ -222,9 +221,8 @@ fn a_check_is_started_by_who_may_and_only_where_a_watch_runs() {
     );
     let mut watch = flankscope();
     // Due at its beginning, and then not for months.
-    watch.args([
-        "watch", "--link", "sim", "--speed", "10", "--teeth", "40", "--every", "1000000",
-    ]);
+    watch.args(["watch", "--speed", "10", "--every", "1000000"]);
+    with_small_head(&mut watch, &["--teeth", "40"]);
     watch.arg("--history").arg(station.history());
     let watch = watch.stdin(Stdio::null()).stderr(Stdio::piped()).spawn();
     let mut watch = Killed(watch.unwrap());

@@ -15,6 +15,8 @@ use crate::tile::core_map_file;
 /// As much of a flank is judged up and down from the middle of the field; 4 mm before the 20 mm head, which is what a tool file
 /// means that says nothing.
 const ZONE_TENTHS_OF_FIELD: f64 = 4.0;
+/// The corners of a zone lie within this part of the field's radius; of fields of 6 mm and more it leaves the zone as it is.
+const SEEN_RATIO: f64 = 0.89;
 
 /// Writes `die.ply`, `tool.toml`, `head.toml` and `cores.csv` into a folder, which is made if it is not there; `optics.toml`, too,
 /// for any head but the demo's.
@@ -34,7 +36,7 @@ pub fn write_tool(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<()> 
     let optics = write_optics(folder, made)?;
     let mut tool = tool_toml(&gear)?;
     if made.is_some() {
-        let half_mm = optics.field_mm * ZONE_TENTHS_OF_FIELD / 10.0;
+        let half_mm = half_zone_mm(optics.field_mm, &gear);
         writeln!(tool, "zone_height_mm = [{:.2}, {half_mm:.2}]", -half_mm)?;
     }
     write_whole(&folder.join("tool.toml"), tool.as_bytes())?;
@@ -44,6 +46,16 @@ pub fn write_tool(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<()> 
     head.cores = Some(cores);
     write_whole(&folder.join("head.toml"), head.to_toml()?.as_bytes())?;
     Ok(())
+}
+
+/// Half the height of a zone whose corners the field shows with a rim, so that rays at the border of the field hide nothing of it.
+fn half_zone_mm(field_mm: f64, gear: &GearSpec) -> f64 {
+    let half_flank_mm = 0.5 * (gear.root_radius_mm - gear.tip_radius_mm);
+    let seen_mm = SEEN_RATIO * 0.5 * field_mm;
+    let corner_mm = (seen_mm * seen_mm - half_flank_mm * half_flank_mm)
+        .max(0.0)
+        .sqrt();
+    corner_mm.min(field_mm * ZONE_TENTHS_OF_FIELD / 10.0)
 }
 
 /// Writes how a head was made beside what stands before it, unless it is the demo's.

@@ -31,7 +31,7 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
-        /// Head that looks at it: 10mm, 20mm, liquid, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
+        /// Head that looks at it: 10mm, 20mm, liquid, small, twin, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
         #[arg(long, value_name = "NAME|FILE")]
         head: Option<MadeHead>,
     },
@@ -40,7 +40,7 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
-        /// Head that is calibrated by it: 10mm, 20mm, liquid, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
+        /// Head that is calibrated by it: 10mm, 20mm, liquid, small, twin, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
         #[arg(long, value_name = "NAME|FILE")]
         head: Option<MadeHead>,
     },

@@ -184,20 +184,12 @@ fn test(all: bool) -> Result<(), String> {
     }
 }
 
-/// Tests what a press gets, where there is no bench. Its dependencies are built once more, so nothing is optimised: only help and
-/// command lines are looked at. Code that only a bench uses would be a warning here, and is an error.
+/// A build for a press has no bench.
+const DEPLOYMENT: &[&str] = &["-p", "flankscope", "--no-default-features", "--bins"];
+
+/// Tests of the program that a press gets. Of its libraries only those are built anew whose features differ.
 fn deployment() -> Result<(), String> {
-    let mut test = cargo(&[
-        "test",
-        "-p",
-        "flankscope",
-        "--no-default-features",
-        "--bins",
-        "--config",
-        "profile.dev.opt-level=0",
-    ]);
-    test.env("RUSTFLAGS", "-D warnings");
-    run(test)
+    run(cargo(&[&["test"][..], DEPLOYMENT].concat()))
 }
 
 /// What is built beside the default: Parquet, the plant's protocols, and the GigE camera where its library is. The same in every
@@ -236,8 +228,13 @@ fn lint() -> Result<(), String> {
     let mut clippy = cargo(&["clippy", "--workspace", "--all-targets"]);
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;
-    let interleavings = [&["clippy"], INTERLEAVINGS, &["--", "-D", "warnings"]].concat();
-    run(cargo(&interleavings))
+    // Code that only a bench or a scheduler uses would be a warning here.
+    for built_otherwise in [DEPLOYMENT, INTERLEAVINGS] {
+        run(cargo(
+            &[&["clippy"], built_otherwise, &["--", "-D", "warnings"]].concat(),
+        ))?;
+    }
+    Ok(())
 }
 
 fn doc() -> Result<(), String> {

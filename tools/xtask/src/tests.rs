@@ -6,8 +6,9 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use cargo_metadata::{Message, TargetKind};
@@ -19,20 +20,18 @@ const TIMES: &str = "test-times.json";
 /// The program that tests from end to end start, freshly built (`flankscope_tests::flankscope`).
 const PROGRAM: &str = "FLANKSCOPE_PROGRAM";
 
+/// How often the programs that still run are named.
+const NEWS: Duration = Duration::from_secs(30);
+
 /// Runs by itself, after the others: an emulator in real time, whose watchdog bites where the host does not let it run.
 const ALONE: &str = "tests qemu";
 
 /// The longest ones, the longest first: where none has run yet, one of them must not be left over at the end.
-const LONGEST: [&str; 10] = [
-    "tests heads",
-    "tests article",
-    "tests unmodelled",
-    "tests scan_gear",
-    "tests frames",
-    "tests scan_strangers",
-    "tests adaptive",
-    "tests lens",
+const LONGEST: [&str; 5] = [
+    "tests check",
     "tests scan",
+    "tests instrument",
+    "tests record",
     "tools/study random_damage",
 ];
 
@@ -77,7 +76,8 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
     let (alone, together): (Vec<_>, Vec<_>) =
         tests.into_iter().partition(|test| test.name == ALONE);
 
-    let done = Mutex::new((HashMap::new(), Vec::new()));
+    let total = together.len() + alone.len();
+    let progress = Mutex::new(Progress::new(total, last));
     let run_noted = |test: &TestProgram| {
         let mut command = Command::new(&test.path);
         command.current_dir(&test.folder);
@@ -88,18 +88,25 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
             // Tests that look for something themselves fail instead of skipping.
             command.env("FLANKSCOPE_TEST_ALL", "1");
         }
-        let (passed, took) = run_one(&test.name, command);
-        let mut done = done.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        done.0.insert(test.name.clone(), took.as_secs_f64());
-        if !passed {
-            done.1.push(test.name.clone());
-        }
+        locked(&progress).begin(&test.name);
+        let (passed, took, lines) = run_one(&test.name, command);
+        locked(&progress).end(&test.name, passed, took, &lines);
     };
-    on_every_core(&together, run_noted);
-    alone.iter().for_each(run_noted);
-    let (times, failed) = done
-        .into_inner()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (stop, stopped) = std::sync::mpsc::channel::<()>();
+    std::thread::scope(|scope| {
+        let progress = &progress;
+        scope.spawn(move || {
+            while stopped.recv_timeout(NEWS) == Err(RecvTimeoutError::Timeout) {
+                eprintln!("{}", locked(progress).news());
+            }
+        });
+        on_every_core(&together, run_noted);
+        alone.iter().for_each(run_noted);
+        drop(stop);
+    });
+    let progress = progress.into_inner();
+    let progress = progress.unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (times, failed) = (progress.times, progress.failed);
     let kept = serde_json::to_vec(&times).map_err(|error| error.to_string());
     // Only the order of the next run depends on it.
     let _best_effort = kept.map(|text| std::fs::write(times_file, text));
@@ -112,6 +119,85 @@ pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
         (false, Ok(())) => Err(format!("tests failed in {}", failed.join(", "))),
         (false, Err(examples)) => Err(format!("tests failed in {}; {examples}", failed.join(", "))),
     }
+}
+
+/// Test programs that passed, failed, and run now.
+struct Progress {
+    begun: Instant,
+    total: usize,
+    /// Seconds that each program took in the last run.
+    last: HashMap<String, f64>,
+    running: Vec<(String, Instant)>,
+    /// Seconds that each program took in this run.
+    times: HashMap<String, f64>,
+    failed: Vec<String>,
+}
+
+impl Progress {
+    fn new(total: usize, last: HashMap<String, f64>) -> Self {
+        Self {
+            begun: Instant::now(),
+            total,
+            last,
+            running: Vec::new(),
+            times: HashMap::new(),
+            failed: Vec::new(),
+        }
+    }
+
+    fn begin(&mut self, name: &str) {
+        self.running.push((name.to_owned(), Instant::now()));
+    }
+
+    /// Prints a program's lines, if it has any, and how far the whole run is.
+    fn end(&mut self, name: &str, passed: bool, took: Duration, lines: &str) {
+        self.running.retain(|(running, _)| running != name);
+        self.times.insert(name.to_owned(), took.as_secs_f64());
+        if !passed {
+            self.failed.push(name.to_owned());
+        }
+        if !lines.is_empty() {
+            // One call, so that no other program's lines come between.
+            eprint!("{:3}/{} {lines}", self.times.len(), self.total);
+        }
+    }
+
+    /// What has passed, what runs, and how long the rest takes if it takes what it took in the last run.
+    fn news(&self) -> String {
+        let now = Instant::now();
+        let running: Vec<String> = self
+            .running
+            .iter()
+            .map(|(name, begun)| format!("{name} ({} s)", (now - *begun).as_secs()))
+            .collect();
+        let known = |name: &String| self.last.get(name).copied();
+        let done_s: f64 = self.times.keys().filter_map(known).sum();
+        let all_s: f64 = self.last.values().sum();
+        let elapsed_s = self.begun.elapsed().as_secs_f64();
+        let left = match done_s > 0.0 {
+            true => format!(
+                "about {:.0} min left",
+                (all_s / done_s - 1.0).max(0.0) * elapsed_s / 60.0
+            ),
+            false => "no earlier run to estimate the rest from".into(),
+        };
+        let failed = match self.failed.len() {
+            0 => String::new(),
+            count => format!("{count} failed, "),
+        };
+        format!(
+            "--- {} of {} test programs passed, {failed}{left}; running: {}",
+            self.times.len() - self.failed.len(),
+            self.total,
+            running.join(", ")
+        )
+    }
+}
+
+fn locked(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
+    progress
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 /// Does `work` on every item, begun in their order, as many at a time as there are cores.
@@ -129,37 +215,35 @@ pub fn on_every_core<T: Sync>(items: &[T], work: impl Fn(&T) + Sync) {
     });
 }
 
-/// Runs a program to its end, then prints what it said: all of it where a test failed, else one line.
-fn run_one(name: &str, mut command: Command) -> (bool, Duration) {
+/// Runs a program to its end. Returns whether its tests passed, and lines to print: everything that it printed where a test failed,
+/// else one line; none for a program without tests.
+fn run_one(name: &str, mut command: Command) -> (bool, Duration, String) {
     let start = Instant::now();
     let output = command.stdin(Stdio::null()).output();
     let took = start.elapsed();
     let seconds = took.as_secs_f64();
-    match output {
-        Ok(output) => {
-            let text = String::from_utf8_lossy(&output.stdout);
-            let passed = output.status.success();
-            let mut told = text
-                .lines()
-                .filter_map(|line| line.strip_prefix("test result: "));
-            let counts = told.next_back().unwrap_or(if passed { "ok." } else { "" });
-            let counts = counts.split("; finished").next().unwrap_or(counts);
-            let mut lines = format!("{seconds:6.1} s  {name}: {counts}\n");
-            let errors = String::from_utf8_lossy(&output.stderr);
-            if !passed {
-                lines += &format!("{text}{errors}{name} ended with {}\n", output.status);
-            }
-            // One call, so that no other program's lines come between; none for a program without tests.
-            if !(passed && counts.starts_with("ok. 0 passed; 0 failed; 0 ignored")) {
-                eprint!("{lines}");
-            }
-            (passed, took)
-        }
-        Err(error) => {
-            eprintln!("{name} could not start: {error}");
-            (false, took)
-        }
+    let output = match output {
+        Ok(output) => output,
+        Err(error) => return (false, took, format!("{name} could not start: {error}\n")),
+    };
+    let text = String::from_utf8_lossy(&output.stdout);
+    let passed = output.status.success();
+    let mut results = text
+        .lines()
+        .filter_map(|line| line.strip_prefix("test result: "));
+    let counts = results
+        .next_back()
+        .unwrap_or(if passed { "ok." } else { "" });
+    let counts = counts.split("; finished").next().unwrap_or(counts);
+    if passed && counts.starts_with("ok. 0 passed; 0 failed; 0 ignored") {
+        return (passed, took, String::new());
     }
+    let mut lines = format!("{seconds:6.1} s  {name}: {counts}\n");
+    if !passed {
+        let errors = String::from_utf8_lossy(&output.stderr);
+        lines += &format!("{text}{errors}{name} ended with {}\n", output.status);
+    }
+    (passed, took, lines)
 }
 
 /// Builds all tests and examples; `units`: each crate into so many code generation units, whatever the environment says.

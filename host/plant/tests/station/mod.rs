@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use flankscope_tests::{Killed, flankscope, run, state};
+use flankscope_tests::{Killed, flankscope, run, state, with_small_head};
 
 pub fn plant() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_flankscope-plant"));
@@ -50,9 +50,8 @@ impl Station {
     /// Checks the demo die's tooth 40, and returns the exit code.
     pub fn check(&self, more: &[&str]) -> i32 {
         let mut check = flankscope();
-        check.args([
-            "inspect", "--link", "sim", "--speed", "max", "--quiet", "--teeth", "40",
-        ]);
+        check.args(["inspect", "--speed", "max", "--quiet"]);
+        with_small_head(&mut check, &["--link", "sim", "--teeth", "40"]);
         check.arg("--history").arg(self.history());
         check.arg("--report").arg(self.folder.path().join("out"));
         run(check.args(more)).code

@@ -9,10 +9,11 @@ use super::pattern::Fringes;
 use super::{BundleSpec, HeadOptics, Objective, Pinhole, SensorSpec, WorldConfig};
 
 /// Built-in heads: name and text of their `optics.toml`.
-pub const AT_HAND: [(&str, &str); 4] = [
+pub const AT_HAND: [(&str, &str); 5] = [
     ("10mm", include_str!("../../heads/10mm.toml")),
     ("20mm", include_str!("../../heads/20mm.toml")),
     ("liquid", include_str!("../../heads/liquid.toml")),
+    ("small", include_str!("../../heads/small.toml")),
     ("twin", include_str!("../../heads/twin.toml")),
 ];
 /// Index of the one in front of the demo die.
