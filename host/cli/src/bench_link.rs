@@ -315,8 +315,9 @@ impl Bench {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
             stall: ClientSettings::default().stall.filter(|_| self.real_time),
-            // An emulated controller stands still, and answers nothing, while the bench renders.
-            unanswered: if self.emulated {
+            // An emulated controller stands still, and answers nothing, while the bench renders; a bench that keeps no real time waits
+            // for its processor on a busy machine.
+            unanswered: if self.emulated || !self.real_time {
                 ClientSettings::default().silence
             } else {
                 ClientSettings::default().unanswered

@@ -247,7 +247,7 @@ fn a_press_demands_a_tool_and_a_calibrated_head() {
     let text = std::fs::read_to_string(&head).unwrap();
     let (drawn, _) = text.split_once("[calibration]").unwrap();
     let refused = |arguments: &[&str], why: &[&str]| {
-        let run = inspect(&[&["--link", nowhere], arguments].concat());
+        let run = inspect_full(&[&["--link", nowhere], arguments].concat());
         assert_eq!(run.code, 3, "{arguments:?}");
         for words in why {
             assert!(run.stderr.contains(words), "{words}: {}", run.stderr);
