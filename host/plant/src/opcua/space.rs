@@ -551,7 +551,7 @@ pub fn says_good(die: &DieStatement) -> bool {
     let good = [Word::Go, Word::Warn].map(|word| Some(Variant::from(word.as_str())));
     let is_good = good.contains(&value("Verdict"));
     assert_eq!(
-        value("Evaluation") == Some(Variant::from(1)),
+        value("Evaluation") == Some(Variant::from(1_i32)),
         is_good,
         "{die:?}"
     );
