@@ -12,9 +12,10 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use flankscope_foundation::clock::BootTime;
 use flankscope_jobs::inspection::ViewOutcome;
 use flankscope_jobs::job::Job;
-use flankscope_jobs::watch::WatchEvent;
+use flankscope_jobs::watch::{WatchEvent, WatchSettings};
 use flankscope_metrology::verdict::Shown;
 use flankscope_record::document::{LiveLine, LivePicture, LiveState, LiveStep, live_socket};
 use flankscope_record::origin::Setting;
@@ -26,6 +27,9 @@ use crate::progress::Steps;
 const MOST_READERS: usize = 8;
 /// Shortest time between two lines; a display shows no more.
 const BETWEEN: Duration = Duration::from_millis(100);
+/// Time for which a statement holds: the watch repeats the verdict, and with it the statement, every 1.25 s, and the press
+/// forgets a verdict after 5 s. A check reports its steps, of which the longest takes no longer than the press is held.
+const HOLDS: Duration = Duration::from_secs(5);
 /// How long a reader may take to accept a line.
 const PATIENCE: Duration = Duration::from_millis(500);
 
@@ -37,6 +41,8 @@ pub struct LiveWatch {
     begun: Instant,
     /// Press cycles between checks.
     every: u32,
+    /// Time for which a statement during a check holds.
+    hold_limit: Duration,
 }
 
 impl LiveWatch {
@@ -48,7 +54,7 @@ impl LiveWatch {
         history: &Path,
         setting: &Setting,
         job: &Job<ViewOutcome>,
-        every: u32,
+        settings: &WatchSettings,
     ) -> io::Result<Self> {
         let state = LiveState::new(
             setting.station.clone(),
@@ -56,15 +62,16 @@ impl LiveWatch {
             setting.link.is_simulated(),
             job.head_dates(),
         );
-        let socket = LiveSocket::open(history)?;
-        socket.show(&state);
-        Ok(Self {
-            socket,
+        let mut watch = Self {
+            socket: LiveSocket::open(history)?,
             state,
             steps: Steps::new(job.view_names()),
             begun: Instant::now(),
-            every,
-        })
+            every: settings.every,
+            hold_limit: settings.hold_limit,
+        };
+        watch.show();
+        Ok(watch)
     }
 
     /// Takes one event.
@@ -102,7 +109,9 @@ impl LiveWatch {
                 self.socket
                     .show_pictures(live_pictures(&checked.inspection));
             }
-            WatchEvent::Resumed(shown) | WatchEvent::Expired(shown) => {
+            WatchEvent::Resumed(shown)
+            | WatchEvent::Expired(shown)
+            | WatchEvent::Repeated(shown) => {
                 self.state.shown = shown.word().into();
             }
             WatchEvent::Requested(who) => {
@@ -115,6 +124,18 @@ impl LiveWatch {
             }
             WatchEvent::NotAcknowledged(_) => return,
         }
+        self.show();
+    }
+
+    /// Makes the next statement.
+    fn show(&mut self) {
+        let holds = match self.state.is_checking {
+            true => HOLDS.max(self.hold_limit),
+            false => HOLDS,
+        };
+        self.state.sequence += 1;
+        self.state.said_at = Some(BootTime::now());
+        self.state.holds_ms = u64::try_from(holds.as_millis()).unwrap_or(u64::MAX);
         self.socket.show(&self.state);
     }
 

@@ -15,7 +15,7 @@ use flankscope_record::sink::LinesFile;
 use flankscope_report::{Pages, ReportFolder, figure};
 use serde_json::{Value, json};
 
-use crate::bench_link::{DieArgs, WearRateArgs, setup_with_press};
+use crate::bench_link::{DieArgs, WearRateArgs, press_outruns_watch, setup_with_press};
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let acknowledged = acknowledgements();
     let mut log = Log::new(args, papers);
     let mut live = args.source.store(&site)?.and_then(|history| {
-        let opened = LiveWatch::open(history, setting, &instrument.job, args.every);
+        let opened = LiveWatch::open(history, setting, &instrument.job, &settings);
         opened
             .inspect_err(|error| {
                 log.say(&format!(
@@ -96,6 +96,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     });
     if setting.link.is_simulated() {
         log.say(SIMULATED);
+        if let Some(why) = press_outruns_watch(&bench) {
+            log.say(&why);
+        }
     }
     let shown = instrument.job.watch(
         &instrument.port,
@@ -201,7 +204,7 @@ impl<'a> Log<'a> {
             WatchEvent::Checking(cycle) => {
                 self.say(&format!("cycle {cycle}: press held, checking"))
             }
-            WatchEvent::Step(_) => {}
+            WatchEvent::Step(_) | WatchEvent::Repeated(_) => {}
             WatchEvent::Expired(shown) => self.say(&format!(
                 "no check for twice the interval: the press is shown {}",
                 shown.word()

@@ -47,6 +47,15 @@ pub fn now() -> String {
     moment(Timestamp::now().as_second())
 }
 
+/// The moment that long before this one, by the host's clock: ISO 8601, UTC, to the millisecond; the beginning of 1970 if it is before that.
+#[must_use]
+pub fn before_now(age: std::time::Duration) -> String {
+    let age_ms = i64::try_from(age.as_millis()).unwrap_or(i64::MAX);
+    let ms = Timestamp::now().as_millisecond().saturating_sub(age_ms);
+    let moment = Timestamp::from_millisecond(ms.max(0)).unwrap_or(Timestamp::UNIX_EPOCH);
+    format!("{moment:.3}")
+}
+
 fn moment(since_1970_s: i64) -> String {
     Timestamp::from_second(since_1970_s)
         .unwrap_or(Timestamp::UNIX_EPOCH)

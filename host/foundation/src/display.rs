@@ -76,7 +76,8 @@ pub fn cell(text: &str) -> String {
     } else {
         ""
     };
-    if text.contains([',', '"']) {
+    // Some spreadsheets split at semicolons, after which a formula could begin.
+    if text.contains([',', ';', '"']) {
         format!("\"{guard}{}\"", text.replace('"', "\"\""))
     } else {
         format!("{guard}{text}")
@@ -98,6 +99,7 @@ mod tests {
             ("press 7", "press 7"),
             ("a, \"b\"", "\"a, \"\"b\"\"\""),
             ("=1+1", "'=1+1"),
+            ("die;=1+1", "\"die;=1+1\""),
             ("-2,@", "\"'-2,@\""),
             ("@x", "'@x"),
             ("\t=1", "\\t=1"),

@@ -3,6 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`activity`] | when each device was active during a capture |
+//! | [`clock`] | time since the computer started, which is never set |
 //! | [`date`] | calendar days and moments, ISO 8601, UTC |
 //! | [`files`] | files that appear whole or not at all, and their digests |
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
@@ -28,6 +29,7 @@
 #![warn(missing_docs)]
 
 pub mod activity;
+pub mod clock;
 pub mod date;
 pub mod display;
 pub mod files;

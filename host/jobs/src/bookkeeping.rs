@@ -1,8 +1,11 @@
 //! Frame counts, durations and memory of a run, as documents state them.
 
+use std::time::Duration;
+
 use flankscope_frames::{Frame, monotonic_ns};
 use flankscope_instrument::acquisition::{Counts, Run};
-use flankscope_record::document::{FrameCount, Handover, Timing};
+use flankscope_record::document::{FrameCount, Handover, LastExposure, Timing};
+use flankscope_record::origin::Link;
 
 /// Durations of a run that began at `begun_ns` and had its verdict at `verdict_ns`, both by the host's monotonic clock.
 pub(crate) fn timing<O>(run: &Run<O>, begun_ns: u64, verdict_ns: u64) -> Timing {
@@ -13,6 +16,16 @@ pub(crate) fn timing<O>(run: &Run<O>, begun_ns: u64, verdict_ns: u64) -> Timing 
         exposure: run.timeline.exposure_ms(),
         last_exposure_to_verdict: between(run.counts.last_exposure_ns, verdict_ns),
     }
+}
+
+/// When the last exposure of a run ended, if it exposed anything: a recording does not.
+pub(crate) fn last_exposure<O>(run: &Run<O>, link: &Link) -> Option<LastExposure> {
+    let is_live = !matches!(link, Link::Recorded(_) | Link::Clouds(_));
+    let ended_ns = run.counts.last_exposure_ns;
+    (is_live && ended_ns > 0).then(|| {
+        let age_ns = monotonic_ns().saturating_sub(ended_ns);
+        LastExposure::before_now(Duration::from_nanos(age_ns))
+    })
 }
 
 /// Frame counts and transfer times of a run.

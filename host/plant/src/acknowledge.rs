@@ -24,7 +24,17 @@ pub enum Refused {
     )]
     NotStanding(i64),
     #[error(transparent)]
-    History(#[from] HistoryError),
+    History(HistoryError),
+}
+
+impl From<HistoryError> for Refused {
+    fn from(error: HistoryError) -> Self {
+        match error {
+            HistoryError::NotStanding { check, .. } => Self::NotStanding(check),
+            HistoryError::NewerNoGo { seen, .. } => Self::NotStanding(seen),
+            error => Self::History(error),
+        }
+    }
 }
 
 /// The history in which acknowledgements are stored.
@@ -35,8 +45,8 @@ pub struct Acknowledging {
 }
 
 impl Acknowledging {
-    /// Stores who acknowledged the no-go of a check and why, if it stands and, where a tool is named, is that tool's. It waits for
-    /// the disk. A watch that runs obeys it, and checks again at the next opening.
+    /// Stores the name of the person who acknowledged the no-go of a check, and the reason, if that no-go stands in the transaction that stores it and, where a tool is
+    /// named, is that tool's. It waits for the disk. A watch that runs obeys it, and checks again at the next opening.
     ///
     /// # Errors
     /// The user may not, the reason is unusable, no such no-go stands, or the history cannot be written.
@@ -56,13 +66,7 @@ impl Acknowledging {
             return Err(Refused::NoReason);
         }
         let mut history = History::open(&self.history, &self.seals)?;
-        let no_gos = history.standing_no_gos()?;
-        let is_meant = |die: &str| tool.is_none_or(|tool| tool == die);
-        let no_go = no_gos
-            .into_iter()
-            .find(|no_go| no_go.check == check && is_meant(&no_go.die.tool))
-            .ok_or(Refused::NotStanding(check))?;
-        history.acknowledge(&no_go.die, &format!("{}: {reason}", user.name))?;
+        history.acknowledge_no_go(check, tool, &format!("{}: {reason}", user.name))?;
         tracing::info!("{} acknowledged check {check}: {reason}", user.name);
         Ok(())
     }

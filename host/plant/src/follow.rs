@@ -1,16 +1,18 @@
-//! Follows the history from a thread of its own: looks every second whether something was committed, and publishes what stands.
+//! Follows the history from a thread of its own: looks every second whether something was committed or the file was changed, and
+//! publishes what stands.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
 use flankscope_record::history::{History, HistoryError};
-use flankscope_record::seal::Seals;
+use flankscope_record::seal::{Seals, StandingNoGo};
 use tokio::sync::watch;
 
 use crate::history::HistoryFile;
 use crate::settings::Settings;
-use crate::standing::{Standing, ToolStanding};
+use crate::statement::{Facts, Moment, Standing, Tracker};
 
 /// How often it looks.
 const EVERY: Duration = Duration::from_secs(1);
@@ -23,36 +25,21 @@ pub fn follow(
     settings: &Settings,
     seals: Seals,
 ) -> std::io::Result<watch::Receiver<Arc<Standing>>> {
-    let stale_after_s = settings.stale_after_s;
-    let mut file = HistoryFile::new(&settings.history, seals);
-    let (publish, standing) = watch::channel(Arc::new(Standing {
-        fault: Some("the history has not been read yet".into()),
-        stale_after_s,
-        ..Standing::default()
-    }));
+    let stale_after = Duration::from_secs(settings.stale_after_s.into());
+    let mut follower = Follower {
+        file: HistoryFile::new(&settings.history, seals.clone()),
+        path: settings.history.clone(),
+        seals,
+        tracker: Tracker::default(),
+    };
+    let (publish, standing) = watch::channel(Arc::new(Standing::unread(stale_after)));
     thread::Builder::new()
         .name("follow".into())
         .spawn(move || {
             while !publish.is_closed() {
-                let seen = look(&mut file).unwrap_or_else(|error| {
-                    file.close();
-                    Some(Standing {
-                        fault: Some(error.to_string().into()),
-                        ..Standing::default()
-                    })
-                });
-                if let Some(mut seen) = seen {
-                    seen.stale_after_s = stale_after_s;
-                    publish.send_if_modified(|before| {
-                        let is_new = seen.fault.is_none() || seen.fault != before.fault;
-                        if is_new {
-                            if let Some(fault) = &seen.fault {
-                                tracing::warn!("{fault}");
-                            }
-                            *before = Arc::new(seen);
-                        }
-                        is_new
-                    });
+                let before = Arc::clone(&publish.borrow());
+                if let Some(now) = follower.look(&before) {
+                    publish.send_replace(Arc::new(now));
                 }
                 thread::sleep(EVERY);
             }
@@ -60,28 +47,68 @@ pub fn follow(
     Ok(standing)
 }
 
-/// What stands, if it may have changed since the last look.
-fn look(file: &mut HistoryFile) -> Result<Option<Standing>, HistoryError> {
-    let (history, is_changed) = file.verified()?;
-    is_changed.then(|| standing(history)).transpose()
+struct Follower {
+    file: HistoryFile,
+    path: PathBuf,
+    seals: Seals,
+    tracker: Tracker,
 }
 
-fn standing(history: &History) -> Result<Standing, HistoryError> {
-    // The newest first.
-    let no_gos = history.standing_no_gos()?;
-    let mut tools = Vec::new();
-    for tool in history.tools()? {
-        let counts = history.verdict_counts(&tool)?;
-        if let Some(last) = history.listed(Some(&tool), None, None, 1)?.pop() {
-            tools.push(ToolStanding {
-                latched: no_gos.iter().find(|no_go| no_go.die.tool == tool).cloned(),
-                last: Arc::new(last),
-                counts,
-            });
+impl Follower {
+    /// Looks at the history; returns what stands if that differs from the last look.
+    fn look(&mut self, before: &Standing) -> Option<Standing> {
+        let now = Moment::now();
+        let went_back = self.tracker.clock_went_back(&now);
+        if went_back {
+            tracing::warn!(
+                "clock_set_back: the clock went back to {}; a check counts again once it was made after that",
+                now.wall
+            );
+        }
+        let is_new = went_back || before.fault().is_some();
+        match self.facts(is_new) {
+            Ok(Some(facts)) => Some(before.with_facts(&facts, &mut self.tracker, &now)),
+            Ok(None) => {
+                before.looked(&now);
+                None
+            }
+            Err(error) => {
+                self.file.close();
+                let fault = error.to_string();
+                if before.fault().is_some_and(|before| **before == *fault) {
+                    return None;
+                }
+                tracing::warn!("{fault}");
+                Some(before.with_fault(&fault, &self.remembered()))
+            }
         }
     }
-    Ok(Standing {
+
+    /// Reads the facts of the history, if they may have changed since the last look or if `always` is set.
+    fn facts(&mut self, always: bool) -> Result<Option<Facts>, HistoryError> {
+        let (history, is_changed) = self.file.verified()?;
+        (is_changed || always).then(|| facts(history)).transpose()
+    }
+
+    /// No-gos of this history in the station's own memory.
+    fn remembered(&self) -> Vec<StandingNoGo> {
+        let anchor = self.seals.anchor_at(&self.path);
+        anchor
+            .ok()
+            .flatten()
+            .map_or(Vec::new(), |anchor| anchor.stands)
+    }
+}
+
+fn facts(history: &History) -> Result<Facts, HistoryError> {
+    let mut tools = Vec::new();
+    for checks in history.last_checks()? {
+        let counts = history.verdict_counts(&checks.die.tool)?;
+        tools.push((checks, counts));
+    }
+    Ok(Facts {
         tools,
-        ..Standing::default()
+        open_no_gos: history.standing_no_gos()?,
+        newest_date: history.newest_date()?,
     })
 }

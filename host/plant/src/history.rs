@@ -19,8 +19,8 @@ struct Opened {
     history: History,
     /// Device and inode.
     file: Option<[u64; 2]>,
-    /// Commits when it was last verified.
-    commits: Option<i64>,
+    /// Commits, and its files, when it was last verified.
+    verified: Option<(i64, WrittenFiles)>,
 }
 
 impl HistoryFile {
@@ -42,21 +42,31 @@ impl HistoryFile {
         Ok(&open.history)
     }
 
-    /// The history, verified anew if something was committed since the last time; and whether that is so. What others wrote
-    /// meanwhile is believed as little as what they wrote before.
+    /// The history, verified anew if something was committed or its files were written to since the last time; and whether that is
+    /// so. What others wrote meanwhile is believed as little as what they wrote before.
     ///
     /// # Errors
     /// It cannot be read, or was changed by others than the instrument.
     pub fn verified(&mut self) -> Result<(&History, bool), HistoryError> {
+        // Before the rows: what is written while they are read is seen the next time.
+        let written = WrittenFiles::beside(&self.path);
+        if let Some(open) = &self.open
+            && let Some((commits, before)) = &open.verified
+            && open.history.commits()? == *commits
+        {
+            if written == *before {
+                return Ok((self.opened()?, false));
+            }
+            // Bytes that no commit announced: pages that this connection has in memory say nothing about them.
+            self.open = None;
+        }
         let (open, is_new) = self.current()?;
-        // Before the rows: what is committed while they are read is seen the next time.
         let commits = open.history.commits()?;
-        let is_changed = is_new || open.commits != Some(commits);
-        if is_changed && !is_new {
+        if !is_new {
             open.history.verify()?;
         }
-        open.commits = Some(commits);
-        Ok((&open.history, is_changed))
+        open.verified = Some((commits, written));
+        Ok((&open.history, true))
     }
 
     /// The history of the file that stands there now, and whether it was opened just now.
@@ -69,7 +79,7 @@ impl HistoryFile {
             None => Opened {
                 history: History::read(&self.path, &self.seals)?,
                 file,
-                commits: None,
+                verified: None,
             },
         };
         Ok((self.open.insert(open), is_new))
@@ -78,6 +88,30 @@ impl HistoryFile {
     /// Closes it, so that the next use opens and verifies it anew.
     pub fn close(&mut self) {
         self.open = None;
+    }
+}
+
+/// When the database and its journal were last written, and their sizes. It differs after every write, also after one that no
+/// commit announced, such as that of a damaged disk or another program.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct WrittenFiles([Option<[i64; 7]>; 2]);
+
+impl WrittenFiles {
+    fn beside(database: &Path) -> Self {
+        let database = &database.canonicalize().unwrap_or_else(|_| database.into());
+        let mut journal = database.as_os_str().to_owned();
+        journal.push("-wal");
+        let state = |path: &Path| {
+            let of = std::fs::metadata(path).ok()?;
+            let file = [of.dev().cast_signed(), of.ino().cast_signed()];
+            let size = of.len().cast_signed();
+            let times = [of.mtime(), of.mtime_nsec(), of.ctime(), of.ctime_nsec()];
+            // A reader creates an empty journal.
+            (size > 0).then_some([
+                file[0], file[1], size, times[0], times[1], times[2], times[3],
+            ])
+        };
+        Self([state(database), state(Path::new(&journal))])
     }
 }
 

@@ -11,11 +11,12 @@
 //! | `history` | the history's file, kept open |
 //! | `demo_line` | a simulated line to show |
 //! | `follow` | follows it from a thread of its own |
-//! | `standing` | what stands for every tool: last verdict, its age, whether it counts |
+//! | `statement` | what every outlet may say: the one type for it, with the age and origin of each verdict |
 //! | `export` | files of a period for metrologists |
 //! | `percent` | percent encoding |
 //! | `live` | what a watch does now, from its socket |
-//! | `listener` | connections: how many, and how long their headers may take |
+//! | `listener` | connections of the page: how long their requests may take |
+//! | `places` | how many connections a listener has, and which one is closed for a new one |
 //! | `encryption` | TLS of the page, behind a feature |
 //! | `page` | routes of the page |
 //! | `metrics` | Prometheus' text |
@@ -40,9 +41,10 @@ mod mqtt;
 mod opcua;
 mod page;
 mod percent;
+mod places;
 mod settings;
-mod standing;
 mod start_check;
+mod statement;
 
 use std::ffi::OsString;
 use std::path::PathBuf;

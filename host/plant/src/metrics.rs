@@ -5,14 +5,13 @@ use std::sync::atomic::AtomicU64;
 
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::LiveState;
-use jiff::Timestamp;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-use crate::standing::{Standing, Worth};
+use crate::statement::{StationStatement, Worth};
 
 /// Type of the text, for the answer's header.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -21,15 +20,11 @@ type Labels = Vec<(&'static str, String)>;
 type Counters = Family<Labels, Counter>;
 type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
 
-/// The metrics of what stands now, and of the watch, if one runs.
+/// The metrics of what stands now, and of the watch, if one says what it does.
 ///
 /// # Errors
 /// None occur when writing to memory.
-pub fn text(
-    standing: &Standing,
-    live: Option<&LiveState>,
-    now: Timestamp,
-) -> Result<String, fmt::Error> {
+pub fn text(station: &StationStatement, live: Option<&LiveState>) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("flankscope");
     let mut gauges = |name: &str, help: &str| {
         let family = Gauges::default();
@@ -47,6 +42,34 @@ pub fn text(
     let verdict = gauges(
         "verdict",
         "1 for the last verdict of a tool, 0 for the others",
+    );
+    let stands = gauges(
+        "verdict_stands",
+        "1 for the verdict that stands for a tool, 0 for the others; all 0 if none stands",
+    );
+    let doubtful = gauges(
+        "verdict_doubtful",
+        "1 if the age of the last check is not proven, for the reason that is named",
+    );
+    let age = gauges(
+        "last_check_age_seconds",
+        "Time since the last exposure of the last check",
+    );
+    let exposed = gauges(
+        "last_exposure_timestamp_seconds",
+        "When the last exposure of the last check ended",
+    );
+    let until = gauges(
+        "verdict_counts_until_timestamp_seconds",
+        "When the last verdict becomes too old",
+    );
+    let stale_after = gauges(
+        "stale_after_seconds",
+        "Age from which a verdict no longer counts",
+    );
+    let open = gauges(
+        "no_gos_open",
+        "No-gos of all dies of the history that are not acknowledged",
     );
     let latched = gauges("no_go_latched", "1 if a no-go is not acknowledged");
     let at = gauges(
@@ -90,7 +113,9 @@ pub fn text(
     let set = |family: &Gauges, labels: Labels, value: f64| {
         family.get_or_create(&labels).set(value);
     };
-    set(&readable, Vec::new(), flag(standing.fault.is_none()));
+    set(&readable, Vec::new(), flag(station.fault.is_none()));
+    set(&open, Vec::new(), station.open_no_gos.len() as f64);
+    set(&stale_after, Vec::new(), station.stale_after.as_secs_f64());
     if let Some(live) = live {
         let of = || {
             vec![
@@ -113,8 +138,8 @@ pub fn text(
             family.get_or_create_owned(&of()).inc_by(count);
         }
     }
-    for tool in &standing.tools {
-        let last = &tool.last;
+    for die in &station.dies {
+        let last = &die.last;
         let of = || {
             vec![
                 ("tool", last.tool.clone()),
@@ -123,17 +148,28 @@ pub fn text(
         };
         let with =
             |name, value: String| of().into_iter().chain([(name, value)]).collect::<Labels>();
-        let counts = standing.worth(tool, now) == Worth::Counts;
-        set(&counts_now, of(), flag(counts));
-        set(&latched, of(), flag(tool.latched.is_some()));
+        set(&counts_now, of(), flag(die.worth == Worth::Counts));
+        set(&latched, of(), flag(die.latched.is_some()));
         set(&cycles, of(), last.tool_cycles as f64);
-        if let Ok(stored) = last.at.parse::<Timestamp>() {
+        if let Ok(stored) = last.at.parse::<jiff::Timestamp>() {
             set(&at, of(), stored.as_second() as f64);
+        }
+        for (family, moment) in [(&exposed, die.exposed_at), (&until, die.counts_until)] {
+            if let Some(moment) = moment {
+                set(family, of(), moment.as_second() as f64);
+            }
+        }
+        if let Some(since) = die.age {
+            set(&age, of(), since.as_secs_f64());
+        }
+        if let Some(doubt) = die.worth.doubt() {
+            set(&doubtful, with("reason", doubt.word().into()), 1.0);
         }
         for word in Word::ALL {
             let labels = with("verdict", word.as_str().into());
             set(&verdict, labels.clone(), flag(word == last.verdict));
-            let count = tool.counts.iter().find(|(of, _)| *of == word);
+            set(&stands, labels.clone(), flag(die.verdict == Some(word)));
+            let count = die.counts.iter().find(|(of, _)| *of == word);
             let counter = checks.get_or_create_owned(&labels);
             counter.inc_by(count.map_or(0, |(_, count)| *count));
         }

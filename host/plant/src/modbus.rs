@@ -1,4 +1,4 @@
-//! Modbus TCP: what stands for the tool that was checked last, in ten registers. docs/plant.md has the table.
+//! Modbus TCP: what stands for the station, in ten registers. docs/plant.md has the table.
 
 use std::future::{Ready, ready};
 use std::io;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use flankscope_metrology::verdict::Word;
-use jiff::Timestamp;
+use flankscope_record::origin::OriginKind;
 use rustix::net::sockopt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
@@ -15,12 +15,14 @@ use tokio_modbus::server::Service;
 use tokio_modbus::server::tcp::Server;
 use tokio_modbus::{ExceptionCode, Request, Response};
 
-use crate::standing::{Standing, Worth, most_worn};
+use crate::places::{Place, Places};
+use crate::statement::{Moment, Standing, StationStatement, Worth, most_worn};
 
 /// Registers, from address 0.
 const REGISTERS: usize = 10;
-/// Line controllers that are connected at a time.
+/// Line controllers that are connected at a time, and those from one address. For one more, the longest silent one is closed.
 const MOST_CONNECTIONS: usize = 32;
+const MOST_PER_ADDRESS: usize = 24;
 /// Silence after which the system asks whether a peer is still there.
 const KEEPALIVE: Duration = Duration::from_secs(30);
 
@@ -43,32 +45,27 @@ pub async fn serve(
     listener: TcpListener,
     standing: watch::Receiver<Arc<Standing>>,
 ) -> anyhow::Result<()> {
-    let registers = Registers {
-        standing,
-        begun: Instant::now(),
-        connections: Arc::new(()),
+    let begun = Instant::now();
+    let places = Places::new(MOST_CONNECTIONS, MOST_PER_ADDRESS);
+    let accepted = |stream: TcpStream, from: SocketAddr| -> io::Result<_> {
+        let _ = sockopt::set_socket_keepalive(&stream, true);
+        let _ = sockopt::set_tcp_keepidle(&stream, KEEPALIVE);
+        let registers = Registers {
+            standing: standing.clone(),
+            begun,
+            place: Arc::new(places.take(&stream, from)?),
+        };
+        Ok(Some((registers, stream)))
     };
-    let on_connected = |stream: TcpStream, _: SocketAddr| ready(Ok(accepted(stream, &registers)));
+    let on_connected = |stream: TcpStream, from: SocketAddr| ready(accepted(stream, from));
     let on_error = |error: io::Error| tracing::info!(%error, "a Modbus connection broke");
     Ok(Server::new(listener).serve(&on_connected, on_error).await?)
 }
 
-fn accepted(stream: TcpStream, registers: &Registers) -> Option<(Registers, TcpStream)> {
-    if Arc::strong_count(&registers.connections) > MOST_CONNECTIONS {
-        tracing::warn!("more than {MOST_CONNECTIONS} Modbus connections: another one is refused");
-        return None;
-    }
-    let _ = sockopt::set_socket_keepalive(&stream, true);
-    let _ = sockopt::set_tcp_keepidle(&stream, KEEPALIVE);
-    Some((registers.clone(), stream))
-}
-
-#[derive(Clone)]
 struct Registers {
     standing: watch::Receiver<Arc<Standing>>,
     begun: Instant,
-    /// Counts the connections by its clones.
-    connections: Arc<()>,
+    place: Arc<Place>,
 }
 
 impl Service for Registers {
@@ -78,58 +75,60 @@ impl Service for Registers {
     type Future = Ready<Result<Response, ExceptionCode>>;
 
     fn call(&self, request: Self::Request) -> Self::Future {
+        self.place.prove();
         let life = self.begun.elapsed().as_secs() as u16;
-        let words = words(&self.standing.borrow(), Timestamp::now(), life);
-        let part = |from: u16, count: u16| {
-            let (from, count) = (usize::from(from), usize::from(count));
-            let part = words.get(from..from + count);
-            part.map(<[u16]>::to_vec)
-                .ok_or(ExceptionCode::IllegalDataAddress)
-        };
+        let words = words(&self.standing.borrow().statement(&Moment::now()), life);
         ready(match request {
             Request::ReadInputRegisters(from, count) => {
-                part(from, count).map(Response::ReadInputRegisters)
+                part(&words, from, count).map(Response::ReadInputRegisters)
             }
             Request::ReadHoldingRegisters(from, count) => {
-                part(from, count).map(Response::ReadHoldingRegisters)
+                part(&words, from, count).map(Response::ReadHoldingRegisters)
             }
             _ => Err(ExceptionCode::IllegalFunction),
         })
     }
 }
 
-/// The registers' content; `life` counts seconds.
-fn words(standing: &Standing, now: Timestamp, life: u16) -> [u16; REGISTERS] {
-    let mut words = [0, life, UNKNOWN, 0, 0, 0, 0, 0, NO_WEAR, UNKNOWN];
-    if standing.fault.is_some() {
-        words[0] = FAULT;
+/// Registers of a request. The specification calls a count of 0 an illegal value.
+fn part(words: &[u16], from: u16, count: u16) -> Result<Vec<u16>, ExceptionCode> {
+    if count == 0 {
+        return Err(ExceptionCode::IllegalDataValue);
     }
-    let Some(tool) = standing.tools.first() else {
+    let (from, count) = (usize::from(from), usize::from(count));
+    let part = words.get(from..from + count);
+    part.map(<[u16]>::to_vec)
+        .ok_or(ExceptionCode::IllegalDataAddress)
+}
+
+/// The registers' content; `life` counts seconds.
+pub fn words(station: &StationStatement, life: u16) -> [u16; REGISTERS] {
+    let mut words = [0, life, UNKNOWN, 0, 0, 0, 0, 0, NO_WEAR, UNKNOWN];
+    let (bit, number) = match station.verdict {
+        None => (0, 0),
+        Some(Word::Go) => (GO, 1),
+        Some(Word::Warn) => (WARN, 2),
+        Some(Word::NoGo) => (NO_GO, 3),
+        Some(Word::Indeterminate) => (INDETERMINATE, 4),
+    };
+    words[0] = bit;
+    words[3] = number;
+    let mut set = |bit: u16, holds: bool| words[0] |= if holds { bit } else { 0 };
+    set(LATCHED, !station.open_no_gos.is_empty());
+    set(FAULT, station.fault.is_some());
+    // A recording is not the state of the press.
+    let die = station.dies.first();
+    let Some(die) = die.filter(|die| die.origin != OriginKind::Recording) else {
         return words;
     };
-    let last = &tool.last;
-    let worth = standing.worth(tool, now);
-    let bit_and_number = |word| match word {
-        Word::Go => (GO, 1),
-        Word::Warn => (WARN, 2),
-        Word::NoGo => (NO_GO, 3),
-        Word::Indeterminate => (INDETERMINATE, 4),
-    };
-    if worth == Worth::Counts {
-        words[3] = bit_and_number(last.verdict).1;
-    }
-    let stands = standing.verdict(tool, now);
-    words[0] |= stands.map_or(0, |word| bit_and_number(word).0);
-    for (bit, holds) in [
-        (LATCHED, tool.latched.is_some()),
-        (SIMULATED, last.origin.simulated),
-        (STALE, worth == Worth::Stale),
-        (FAULT, worth == Worth::Unknown),
-    ] {
-        words[0] |= if holds { bit } else { 0 };
-    }
-    let register = |value: Option<u64>| value.and_then(|value| u16::try_from(value).ok());
-    words[2] = register(standing.age_s(tool, now)).unwrap_or(UNKNOWN);
+    let last = &die.last;
+    set(SIMULATED, last.origin.simulated);
+    set(STALE, die.worth == Worth::Stale);
+    set(FAULT, die.worth.doubt().is_some());
+    let age_s = die.age.map(|age| age.as_secs());
+    words[2] = age_s
+        .and_then(|age_s| u16::try_from(age_s).ok())
+        .unwrap_or(UNKNOWN);
     for (at, number) in [(4, last.id), (6, last.tool_cycles)] {
         let number = u32::try_from(number).unwrap_or(u32::MAX);
         words[at] = (number >> 16) as u16;
@@ -150,91 +149,69 @@ fn words(standing: &Standing, now: Timestamp, life: u16) -> [u16; REGISTERS] {
 
 #[cfg(test)]
 mod tests {
-    use flankscope_record::die::DieKey;
-    use flankscope_record::history::Check;
-    use flankscope_record::origin::{HeadId, Origin};
-    use flankscope_record::seal::StandingNoGo;
-
     use super::*;
-    use crate::standing::ToolStanding;
-
-    fn standing(verdict: Word, latched: bool, at: &str, fault: bool) -> Standing {
-        let last = Check {
-            id: 70_000,
-            at: at.into(),
-            tool: "die".into(),
-            tool_cycles: 5,
-            press_cycles: 5,
-            baseline: None,
-            verdict,
-            reason: String::new(),
-            origin: Origin {
-                link: "/dev/ttyACM0".into(),
-                simulated: false,
-                head: HeadId {
-                    name: "head".into(),
-                    blake3: String::new(),
-                    seal: "signed".into(),
-                },
-                station: "press 7".into(),
-                operator: None,
-                recording: None,
-            },
-            serial: None,
-            flanks: Vec::new(),
-        };
-        Standing {
-            tools: vec![ToolStanding {
-                last: Arc::new(last),
-                latched: latched.then(|| StandingNoGo {
-                    die: DieKey {
-                        tool: "die".into(),
-                        geometry: String::new(),
-                        serial: None,
-                    },
-                    check: 70_000,
-                    at: at.into(),
-                }),
-                counts: Vec::new(),
-            }],
-            fault: fault.then(|| "broken".into()),
-            stale_after_s: 60,
-        }
-    }
+    use crate::statement::model::{Scene, check, moment, no_go};
 
     #[test]
     fn go_is_said_only_of_a_fresh_go_that_nothing_stands_against() {
-        let now: Timestamp = "2026-01-31T12:00:30Z".parse().unwrap();
-        let dates = [
-            ("2026-01-31T12:00:00Z", true),
-            ("2026-01-31T11:59:30Z", true),
-            ("2026-01-31T11:59:29Z", false),
-            // The other clock is ahead, or no date at all.
-            ("2026-01-31T12:01:00Z", false),
-            ("yesterday", false),
-        ];
-        for verdict in Word::ALL {
-            for latched in [false, true] {
-                for (at, fresh) in dates {
-                    for fault in [false, true] {
-                        let words = words(&standing(verdict, latched, at, fault), now, 9);
-                        let counts = fresh && !fault;
-                        let go = verdict == Word::Go && !latched && counts;
-                        let of = (verdict, latched, at, fault);
+        // Ages of the check, s; the negative one is of a clock that is ahead.
+        for (age_s, is_fresh) in [(0, true), (60, true), (61, false), (-31, false)] {
+            for verdict in Word::ALL {
+                for is_latched in [false, true] {
+                    for has_fault in [false, true] {
+                        let of = (age_s, verdict, is_latched, has_fault);
+                        let now = moment(1000);
+                        let mut scene = Scene::new(60);
+                        let last = check(70_000, "die", verdict, &moment_of(age_s));
+                        scene.facts.tools.push((last, Vec::new()));
+                        if is_latched || verdict == Word::NoGo {
+                            // The no-go of another die stands for the station.
+                            scene.facts.open_no_gos.push(no_go("another die", 69_999));
+                        }
+                        let mut standing = scene.look(&now);
+                        if has_fault {
+                            standing = standing.with_fault("broken", &[]);
+                        }
+                        let words = words(&standing.statement(&now), 9);
+                        let counts = is_fresh && !has_fault;
+                        let is_open = is_latched || verdict == Word::NoGo;
+                        let go = verdict == Word::Go && !is_open && counts;
                         assert_eq!(words[0] & GO != 0, go, "{of:?}");
-                        assert_eq!(words[0] & LATCHED != 0, latched, "{of:?}");
+                        assert_eq!(words[0] & LATCHED != 0, is_open, "{of:?}");
                         assert_eq!(words[0] & (STALE | FAULT) == 0, counts, "{of:?}");
-                        assert_eq!(words[3] != 0, counts, "{of:?}");
-                        let no_go = latched || verdict == Word::NoGo;
-                        assert_eq!(words[0] & NO_GO != 0, no_go, "{of:?}");
-                        // 70 000 = 0x1_1170.
-                        assert_eq!(words[4..6], [1, 0x1170], "{of:?}");
+                        assert_eq!(words[3] == 1, go, "{of:?}");
+                        assert_eq!(words[3] != 0, counts || is_open, "{of:?}");
+                        assert_eq!(words[0] & NO_GO != 0, is_open, "{of:?}");
+                        if !has_fault {
+                            // 70 000 = 0x1_1170.
+                            assert_eq!(words[4..6], [1, 0x1170], "{of:?}");
+                        }
                         assert_eq!([words[1], words[8], words[9]], [9, NO_WEAR, UNKNOWN]);
                     }
                 }
             }
         }
-        let nothing = Standing::default();
-        assert_eq!(super::words(&nothing, now, 0)[0] & GO, 0);
+        let nothing = Standing::unread(Duration::from_secs(60));
+        assert_eq!(words(&nothing.statement(&moment(0)), 0)[0], FAULT);
+    }
+
+    /// Moment at which a check of this age was exposed, seen from second 1000.
+    fn moment_of(age_s: i64) -> Moment {
+        moment(1000 - age_s)
+    }
+
+    #[test]
+    fn a_count_of_none_and_addresses_beyond_the_registers_are_exceptions() {
+        let words = [7; REGISTERS];
+        assert_eq!(part(&words, 0, 10), Ok(vec![7; 10]));
+        assert_eq!(part(&words, 9, 1), Ok(vec![7]));
+        for (from, count, code) in [
+            (0, 0, ExceptionCode::IllegalDataValue),
+            (10, 0, ExceptionCode::IllegalDataValue),
+            (5, 6, ExceptionCode::IllegalDataAddress),
+            (65_535, 65_535, ExceptionCode::IllegalDataAddress),
+        ] {
+            assert_eq!(part(&words, from, count), Err(code), "{from}, {count}");
+        }
     }
 }

@@ -140,6 +140,64 @@ fn a_no_go_appears_by_itself_and_is_cleared_by_clicks() {
 }
 
 #[test]
+fn one_field_in_use_spares_its_own_tile_alone() {
+    let station = Station::new(3600);
+    let mut press = Press::new(&station.history());
+    press.check_now("other", 40, Word::Go);
+    press.check_now("die", 40, Word::NoGo);
+    let plant = station.serve();
+    plant.board_with("verdict no-go");
+    let Some(mut screen) = logged_in(&plant) else {
+        return;
+    };
+    let tile = |tool: &str, what: &str| format!(".tile[data-tool={tool}]{what}");
+    let has = |selector: &str| format!("document.querySelector(\"{selector}\") !== null");
+    screen.until(&has(&tile("other", " .verdict.go")));
+    screen.click("input[name=reason]");
+    screen.type_text("insert changed");
+    // A no-go of the other die appears although the field is in use.
+    press.check_now("other", 40, Word::NoGo);
+    screen.until(&has(&tile("other", " .verdict.no-go")));
+    let field = "document.querySelector(\".tile[data-tool=die] input[name=reason]\")";
+    assert_eq!(screen.value(&format!("{field}.value")), "insert changed");
+    assert_eq!(
+        screen.value(&format!("document.activeElement === {field}")),
+        true
+    );
+    assert_eq!(
+        screen.value("document.querySelectorAll(\".tile\").length"),
+        2
+    );
+    // The spared tile greys by itself, the renewed one does not; a wall clock that is set back keeps neither.
+    screen.value("void (Date.now = () => 0)");
+    screen.until(&has(&tile("die", ".expired")));
+    assert_eq!(screen.value(&has(&tile("other", ".expired"))), false);
+    // A history that is gone takes the renewed tile away, and the spared one is not believed.
+    std::fs::rename(station.history(), station.folder.path().join("away.db")).unwrap();
+    screen.until("document.querySelectorAll(\".tile:not(.expired)\").length === 0");
+    screen.until_shown("main", "cannot be read");
+    assert_eq!(screen.value(&format!("{field}.value")), "insert changed");
+}
+
+#[test]
+fn a_go_that_becomes_too_old_is_grey_without_a_word_from_the_server() {
+    let station = Station::new(6);
+    let mut press = Press::new(&station.history());
+    press.check_now("die", 40, Word::Go);
+    let plant = station.serve();
+    plant.board_with("verdict");
+    let Some(mut screen) = logged_in(&plant) else {
+        return;
+    };
+    press.check_now("die", 40, Word::Go);
+    screen.until("document.querySelector(\".tile:not(.expired) .verdict.go\") !== null");
+    // Nothing that the server sends arrives any more.
+    screen.value("events.close()");
+    screen.until("document.querySelector(\".tile.expired .verdict.go\") !== null");
+    assert!(part_of(&screen.picture(), GO) == 0.0);
+}
+
+#[test]
 fn a_page_that_is_open_for_a_day_of_checks_does_not_grow() {
     let Some((_station, mut press, plant, mut screen)) = page_of_a_sound_die() else {
         return;

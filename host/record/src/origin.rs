@@ -7,6 +7,9 @@ use std::str::FromStr;
 use flankscope_foundation::date::Date;
 use serde::Serialize;
 
+/// Links of results that were made from recorded frames and recorded clouds.
+const RECORDED_LINKS: [&str; 2] = ["recorded frames", "recorded clouds"];
+
 /// Kind of controller or recording behind an instrument.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Link {
@@ -20,6 +23,29 @@ pub enum Link {
     Recorded(RecordingId),
     /// No controller and no frames: recorded clouds.
     Clouds(RecordingId),
+}
+
+/// Kind of the measured object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum OriginKind {
+    /// A die in a press.
+    Press,
+    /// The simulated bench.
+    Bench,
+    /// Recorded frames or clouds: nothing was looked at when the result was made.
+    Recording,
+}
+
+impl OriginKind {
+    /// Name in files and messages.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Press => "press",
+            Self::Bench => "bench",
+            Self::Recording => "recording",
+        }
+    }
 }
 
 /// A recording of frames or clouds, by its index.
@@ -71,8 +97,8 @@ impl fmt::Display for Link {
             Self::Sim => f.write_str("sim"),
             Self::Qemu => f.write_str("qemu"),
             Self::Port(port) => port.display().fmt(f),
-            Self::Recorded(_) => f.write_str("recorded frames"),
-            Self::Clouds(_) => f.write_str("recorded clouds"),
+            Self::Recorded(_) => f.write_str(RECORDED_LINKS[0]),
+            Self::Clouds(_) => f.write_str(RECORDED_LINKS[1]),
         }
     }
 }
@@ -139,6 +165,18 @@ impl Origin {
         }
     }
 
+    /// Kind of the measured object. A stored result is recognised as a recording by its link.
+    #[must_use]
+    pub fn kind(&self) -> OriginKind {
+        if self.recording.is_some() || RECORDED_LINKS.contains(&self.link.as_str()) {
+            OriginKind::Recording
+        } else if self.simulated {
+            OriginKind::Bench
+        } else {
+            OriginKind::Press
+        }
+    }
+
     /// Measured object, in words.
     pub fn place(&self) -> String {
         let what = match self.simulated {
@@ -200,5 +238,25 @@ mod tests {
         let known = Origin::new(&setting, head);
         assert_eq!(known.place(), "simulated bench (qemu)");
         assert!(known.simulated);
+        assert_eq!(known.kind(), OriginKind::Bench);
+        let port = Origin {
+            link: "/dev/ttyACM0".into(),
+            simulated: false,
+            ..known.clone()
+        };
+        assert_eq!(port.kind(), OriginKind::Press);
+        // Origins as they are read from a history: the recording is in the document alone.
+        let recording = RecordingId {
+            taken: None,
+            blake3: String::new(),
+            simulated: false,
+        };
+        for link in [Link::Recorded(recording.clone()), Link::Clouds(recording)] {
+            let stored = Origin {
+                link: link.to_string(),
+                ..port.clone()
+            };
+            assert_eq!(stored.kind(), OriginKind::Recording);
+        }
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_record::die::DieKey;
-use flankscope_record::document::{FeatureId, Inspection};
+use flankscope_record::document::{FeatureId, Inspection, LastExposure};
 use flankscope_record::history::{
     History, HistoryError, HistoryWriter, Retention, clock_set_back, csv, series,
 };
@@ -102,7 +102,7 @@ fn rows_are_only_added() {
     history
         .record(&inspection(1, Word::NoGo, "worn"), None)
         .unwrap();
-    history.acknowledge(&die_key("die"), "Ada").unwrap();
+    history.acknowledge(&die_key("die"), 1, "Ada").unwrap();
     history.audit("Ada", "looked", "at it").unwrap();
     history.keep_baseline("abc", "die", "{}").unwrap();
     let connection = Connection::open(&path).unwrap();
@@ -372,7 +372,7 @@ fn what_is_open_ends_with_an_acknowledgement() {
             .unwrap()
             .is_empty()
     );
-    history.acknowledge(&die_key("die"), "Ada").unwrap();
+    history.acknowledge(&die_key("die"), 3, "Ada").unwrap();
     assert!(history.open_verdicts(&die_key("die")).unwrap().is_empty());
     history
         .record(&inspection(2, Word::Warn, ""), None)
@@ -386,6 +386,119 @@ fn what_is_open_ends_with_an_acknowledgement() {
         (noted[0].who.as_str(), noted[0].inspection),
         ("Ada", Some(3))
     );
+}
+
+#[test]
+fn acknowledging_clears_no_no_go_that_is_newer_than_the_one_that_was_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
+    let die = die_key("die");
+    for verdict in ["no-go", "no-go", "go"].map(word) {
+        history.record(&inspection(1, verdict, ""), None).unwrap();
+    }
+    let standing = |history: &History| history.standing_no_gos().unwrap().len();
+    // The first no-go was seen, the second was not.
+    let refused = history.acknowledge(&die, 1, "Ada").unwrap_err();
+    assert!(matches!(refused, HistoryError::NewerNoGo { seen: 1, .. }));
+    for (check, tool) in [(1, None), (3, None), (2, Some("another die"))] {
+        let refused = history.acknowledge_no_go(check, tool, "Ada").unwrap_err();
+        assert!(matches!(refused, HistoryError::NotStanding { .. }));
+    }
+    assert_eq!(standing(&history), 1);
+    assert!(history.acknowledgements("die").unwrap().is_empty());
+    history.acknowledge_no_go(2, Some("die"), "Ada").unwrap();
+    assert_eq!(standing(&history), 0);
+    // The go after it was not seen and stays open.
+    assert_eq!(history.open_verdicts(&die).unwrap(), [Word::Go]);
+    // Acknowledged by another person meanwhile.
+    let refused = history.acknowledge_no_go(2, None, "Bob").unwrap_err();
+    assert!(matches!(
+        refused,
+        HistoryError::NotStanding { check: 2, .. }
+    ));
+    history.acknowledge(&die, 3, "Ada").unwrap();
+    assert!(history.open_verdicts(&die).unwrap().is_empty());
+}
+
+#[test]
+fn acknowledgements_that_race_with_new_no_gos_clear_none_unseen() {
+    const RACES: usize = 200;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let mut press = History::open(&path, &seals()).unwrap();
+    let mut person = History::open(&path, &seals()).unwrap();
+    let is_over = std::sync::atomic::AtomicBool::new(false);
+    let order = std::sync::atomic::Ordering::SeqCst;
+    let (mut accepted, mut refused) = (0, 0);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(order) {
+                press.record(&inspection(1, Word::NoGo, ""), None).unwrap();
+            }
+        });
+        while accepted + refused < RACES {
+            let Some(shown) = person.standing_no_gos().unwrap().pop() else {
+                continue;
+            };
+            // The no-go is on the screen; the person types.
+            std::thread::yield_now();
+            match person.acknowledge_no_go(shown.check, None, "Ada") {
+                Ok(()) => accepted += 1,
+                Err(HistoryError::NotStanding { .. } | HistoryError::NewerNoGo { .. }) => {
+                    refused += 1
+                }
+                Err(error) => panic!("{error}"),
+            }
+        }
+        is_over.store(true, order);
+    });
+    // In the order in which rows were stored, no no-go before an acknowledgement is newer than the one that it names.
+    let connection = Connection::open(&path).unwrap();
+    let unseen: i64 = connection
+        .query_row(
+            "SELECT count(*) FROM acknowledgement AS noted \
+             JOIN chain AS note ON note.source = 'acknowledgement' AND note.key = CAST(noted.id AS TEXT) \
+             JOIN chain AS made ON made.source = 'inspection' AND made.link < note.link \
+             WHERE CAST(made.key AS INTEGER) > noted.inspection",
+            [],
+            |row| row.get(0),
+        )
+        .unwrap();
+    assert_eq!(unseen, 0, "{accepted} accepted, {refused} refused");
+}
+
+#[test]
+fn a_recording_is_stored_and_is_never_the_last_check() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
+    let recording = || Inspection {
+        origin: Origin {
+            link: "recorded frames".into(),
+            ..inspection(1, Word::Go, "").origin
+        },
+        ..inspection(1, Word::Go, "")
+    };
+    history.record(&recording(), None).unwrap();
+    let last = history.last_checks().unwrap().pop().unwrap();
+    assert_eq!(last.check, None);
+    assert_eq!(last.recording.unwrap().id, 1);
+    let exposure = LastExposure::before_now(std::time::Duration::from_secs(3));
+    let live = Inspection {
+        last_exposure: Some(exposure.clone()),
+        ..inspection(2, Word::Warn, "")
+    };
+    history.record(&live, None).unwrap();
+    history.record(&recording(), None).unwrap();
+    let last = history.last_checks().unwrap().pop().unwrap();
+    assert_eq!(last.check.unwrap().id, 2);
+    assert_eq!(last.exposure, Some(exposure));
+    assert_eq!(last.recording.unwrap().id, 3);
+    assert_eq!(last.die, die_key("die"));
+    assert!(history.newest_date().unwrap() >= Some(history.check(3).unwrap().at));
+    // Newer than the last recording, the check is all there is.
+    history.record(&live, None).unwrap();
+    let last = history.last_checks().unwrap().pop().unwrap();
+    assert_eq!((last.check.unwrap().id, last.recording), (4, None));
 }
 
 /// A check that says where it comes from.

@@ -25,7 +25,7 @@ fn written(folder: &Path) -> PathBuf {
         ..inspection(cycles, Word::Go, reason)
     };
     history.record(&go(1, "all is well"), None).unwrap();
-    history.acknowledge(&die(), "Ada").unwrap();
+    history.acknowledge(&die(), 1, "Ada").unwrap();
     let mut worn = inspection(2, Word::NoGo, "worn");
     worn.die = die();
     worn.hashes.insert("baseline", "abc".into());
@@ -360,10 +360,10 @@ fn a_no_go_stands_against_the_die_whatever_its_tool_file_calls_it() {
     let strange = known("another name", "another CAD", "");
     assert!(!stands(&history, &strange));
     // Who acknowledges another die acknowledges nothing of this one.
-    history.acknowledge(&strange, "Ada").unwrap();
+    history.acknowledge(&strange, 1, "Ada").unwrap();
     assert!(stands(&history, &worn.die));
     history
-        .acknowledge(&known("renamed", "g", ""), "Ada")
+        .acknowledge(&known("renamed", "g", ""), 1, "Ada")
         .unwrap();
     assert!(!stands(&history, &worn.die));
     // With serial numbers, dies of one design and name are two.
@@ -372,7 +372,7 @@ fn a_no_go_stands_against_the_die_whatever_its_tool_file_calls_it() {
     assert!(stands(&history, &known("renamed", "h", "A 7")));
     assert!(!stands(&history, &known("die", "g", "A 8")));
     history
-        .acknowledge(&known("die", "g", "A 8"), "Ada")
+        .acknowledge(&known("die", "g", "A 8"), 2, "Ada")
         .unwrap();
     assert!(stands(&history, &worn.die) && stands(&history, &known("die", "g", "")));
 }
@@ -545,7 +545,7 @@ fn a_copy_that_is_behind_is_refused_wherever_it_lies_until_somebody_restores_it_
     let path = written(folder.path());
     History::open(&path, &seals())
         .unwrap()
-        .acknowledge(&die(), "Ada")
+        .acknowledge(&die(), 2, "Ada")
         .unwrap();
     let old = folder.path().join("old.db");
     changed(&path, &old, |_| {});
@@ -632,7 +632,7 @@ fn a_no_go_of_a_real_die_stands_in_every_history_of_the_station() {
         ..die()
     };
     assert!(second.hold(&other).is_ok());
-    first.acknowledge(&die(), "Ada").unwrap();
+    first.acknowledge(&die(), 1, "Ada").unwrap();
     assert!(second.hold(&die()).is_ok());
     // What it remembers is its own word, too.
     let memory = folder.path().join("station/histories");

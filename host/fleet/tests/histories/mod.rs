@@ -63,6 +63,7 @@ pub fn inspection(station: &str, press_cycles: u32) -> Inspection {
             recording: None,
         },
         date: "2026-01-31T12:00:00Z".into(),
+        last_exposure: None,
         verdict: Word::Go,
         reason: format!("all is well after {press_cycles}"),
         // A check that saw nothing has no flanks.

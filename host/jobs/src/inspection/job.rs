@@ -13,7 +13,7 @@ use super::findings::Findings;
 use super::outcome::ViewOutcome;
 use super::recipe::recipe;
 use super::views::{Evaluator, EvaluatorError, hand_eye};
-use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
+use crate::bookkeeping::{frame_count, last_exposure, peak_memory_mb, timing};
 use crate::job::{self, Job, RecordedFrames, Source, connect, runtime};
 use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
@@ -314,6 +314,7 @@ impl Job<ViewOutcome> {
             registration: found.registration,
             origin: self.subject.origin(&self.setting),
             date: date::now(),
+            last_exposure: last_exposure(&run, &self.setting.link),
             tool: self.subject.tool.name.clone(),
             die: self.subject.die(),
             temperature_degc: self.subject.temperature_degc,

@@ -66,6 +66,8 @@ pub enum WatchEvent {
     Resumed(Shown),
     /// No check was made for twice the interval: this is shown from now on instead of a go.
     Expired(Shown),
+    /// This verdict was sent to the press again.
+    Repeated(Shown),
     /// Somebody wants a check, which is made at the next opening.
     Requested(String),
     /// A verdict was acknowledged.
@@ -132,6 +134,8 @@ struct Watch<'a, T> {
     /// Called with every event; returns false to stop.
     tell: T,
     latch: Latch,
+    /// Number of the newest check that this watch told of: what a person at the watch saw. 0 before the first.
+    newest_told: i64,
     /// Acknowledgements in the history before the check whose verdict came last; absent if that is not stored.
     acknowledgements: Option<i64>,
     /// Prevents other watches of this die.
@@ -161,9 +165,12 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             None => (None, Latch::default()),
         };
         let cycle = client.status().await?.press.cycles;
-        let acknowledgements = match &writer {
-            Some(writer) => Some(writer.acknowledgement_count(&die)?),
-            None => None,
+        let (acknowledgements, newest_told) = match &writer {
+            Some(writer) => (
+                Some(writer.acknowledgement_count(&die)?),
+                writer.newest_check(&die)?,
+            ),
+            None => (None, 0),
         };
         Ok(Self {
             job,
@@ -171,6 +178,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             writer,
             tell,
             latch,
+            newest_told,
             acknowledgements,
             _hold: hold,
             first: cycle,
@@ -204,6 +212,10 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         }
         if Instant::now() >= self.next_refresh {
             self.show().await?;
+            let shown = self.latch.shown();
+            if self.tell(WatchEvent::Repeated(shown)).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
             if self.is_acknowledged_elsewhere() && self.start_afresh().is_break() {
                 return Ok(ControlFlow::Break(()));
             }
@@ -272,7 +284,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
     /// Handles an acknowledgement, which counts once it is stored.
     fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
         let noted = match &mut self.writer {
-            Some(writer) => writer.acknowledge(&self.job.die(), name),
+            Some(writer) => writer.acknowledge(&self.job.die(), self.newest_told, name),
             None => Ok(()),
         };
         match noted {
@@ -347,6 +359,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
         self.checked_at = inspection.press_cycles;
         self.is_requested = false;
         let shown = self.latch.take(inspection.verdict);
+        self.newest_told = inspection.id.unwrap_or(self.newest_told);
         self.acknowledgements = acknowledgements.filter(|_| inspection.id.is_some());
         self.show().await?;
         let checked = Checked {

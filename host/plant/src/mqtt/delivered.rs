@@ -1,5 +1,6 @@
 //! How far the broker has the history: a small file, written whole and flushed to the disk after every acknowledgement.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use flankscope_foundation::files::write_whole_with_mode;
@@ -16,10 +17,13 @@ pub struct Delivered {
     pub id: String,
     /// Number of the last connection, 0 to 255, by which Sparkplug B tells a late death from a current one.
     pub connection: u8,
+    /// Messages that the broker retains under each topic below this station's, so that a process that starts anew can take them back.
+    #[serde(default)]
+    pub retained: BTreeMap<String, String>,
 }
 
 /// Largest such file, bytes.
-const MOST_BYTES: u64 = 4 << 10;
+const MOST_BYTES: u64 = 1 << 20;
 
 impl Delivered {
     /// Reads the file; none means that nothing was delivered.

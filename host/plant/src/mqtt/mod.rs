@@ -15,6 +15,7 @@ mod json;
 mod packets;
 mod sparkplug;
 
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +33,7 @@ use crate::access::require_private;
 use crate::history::{HistoryFile, check_id};
 use crate::percent::escaped;
 use crate::settings::{MqttSettings, Settings};
-use crate::standing::Standing;
+use crate::statement::{Moment, Standing, StationStatement};
 use broker::{Broker, Dial, Login};
 use delivered::Delivered;
 use json::Json;
@@ -128,7 +129,10 @@ impl Sender {
                 let node = Node::new(group, &self.dial.client, delivered.connection);
                 Words::Sparkplug(node)
             }
-            None => Words::Json(Json::new(&self.dial.client)),
+            None => {
+                let retained = delivered.retained.clone();
+                Words::Json(Json::new(&self.dial.client, retained))
+            }
         };
         let mut broker = Broker::connect(&self.dial, words.will()).await?;
         let address = &self.dial.address;
@@ -143,10 +147,17 @@ impl Sender {
         let mut standing = self.standing.clone();
         loop {
             self.obey(&mut broker, &mut words).await?;
-            let now = Arc::clone(&standing.borrow_and_update());
-            for message in words.changes(&now) {
+            let now = standing.borrow_and_update().statement(&Moment::now());
+            let changes = words.changes(&now);
+            // First with all that may be retained if this process ends meanwhile, then with what is.
+            let retained = words.retained();
+            let mut possible = delivered.retained.clone();
+            possible.extend(retained.clone());
+            self.note_retained(possible, &mut delivered).await?;
+            for message in changes {
                 broker.publish(&message).await?;
             }
+            self.note_retained(retained, &mut delivered).await?;
             if now.fault.is_none()
                 && self
                     .forward(&mut broker, &mut words, &mut delivered, &now)
@@ -170,13 +181,13 @@ impl Sender {
         broker: &mut Broker,
         words: &mut Words,
         delivered: &mut Delivered,
-        standing: &Standing,
+        station: &StationStatement,
     ) -> anyhow::Result<bool> {
         for _ in 0..CHECKS_AT_A_TIME {
             let Some((check, id)) = self.next(delivered.clone()).await? else {
                 return Ok(false);
             };
-            for message in words.check(&check, &id, standing) {
+            for message in words.check(&check, &id, station) {
                 broker.publish(&message).await?;
             }
             if let Words::Sparkplug(_) = words {
@@ -184,12 +195,29 @@ impl Sender {
                 broker.confirm().await?;
             }
             (delivered.number, delivered.id) = (check.id, id);
-            let (to_store, sender) = (delivered.clone(), Arc::clone(self));
-            tokio::task::spawn_blocking(move || to_store.store(&sender.delivered)).await??;
+            self.store(delivered).await?;
             self.is_heard.store(true, Ordering::Relaxed);
             self.obey(broker, words).await?;
         }
         Ok(true)
+    }
+
+    async fn store(&self, delivered: &Delivered) -> anyhow::Result<()> {
+        let (delivered, path) = (delivered.clone(), self.delivered.clone());
+        tokio::task::spawn_blocking(move || delivered.store(&path)).await?
+    }
+
+    /// Notes on the disk what the broker retains, so that a process that starts anew can take it back.
+    async fn note_retained(
+        &self,
+        retained: BTreeMap<String, String>,
+        delivered: &mut Delivered,
+    ) -> anyhow::Result<()> {
+        if retained != delivered.retained {
+            delivered.retained = retained;
+            self.store(delivered).await?;
+        }
+        Ok(())
     }
 
     /// Carries out what a host commanded: a birth.
@@ -199,8 +227,8 @@ impl Sender {
             && commands.iter().any(|command| Node::asks_for_birth(command))
         {
             broker.publish(&node.birth(Timestamp::now())).await?;
-            let standing = Arc::clone(&self.standing.borrow());
-            for message in words.changes(&standing) {
+            let station = self.standing.borrow().statement(&Moment::now());
+            for message in words.changes(&station) {
                 broker.publish(&message).await?;
             }
         }
@@ -273,18 +301,25 @@ impl Words {
         }
     }
 
-    fn changes(&mut self, standing: &Standing) -> Vec<Message> {
-        let now = Timestamp::now();
+    /// Messages that the broker retains once the last changes are sent: none of Sparkplug B.
+    fn retained(&self) -> BTreeMap<String, String> {
         match self {
-            Self::Json(json) => json.changes(standing, now),
-            Self::Sparkplug(node) => node.changes(standing, now),
+            Self::Json(json) => json.retained(),
+            Self::Sparkplug(_) => BTreeMap::new(),
         }
     }
 
-    fn check(&mut self, check: &Check, id: &str, standing: &Standing) -> Vec<Message> {
+    fn changes(&mut self, station: &StationStatement) -> Vec<Message> {
         match self {
-            Self::Json(json) => vec![json.check(check, id, standing)],
-            Self::Sparkplug(node) => node.check(check, id, standing, Timestamp::now()),
+            Self::Json(json) => json.changes(station),
+            Self::Sparkplug(node) => node.changes(station, Timestamp::now()),
+        }
+    }
+
+    fn check(&mut self, check: &Check, id: &str, station: &StationStatement) -> Vec<Message> {
+        match self {
+            Self::Json(json) => vec![json.check(check, id, station.stale_after)],
+            Self::Sparkplug(node) => node.check(check, id, station, Timestamp::now()),
         }
     }
 }
@@ -293,4 +328,12 @@ impl Words {
 fn topic_word(name: &str) -> String {
     let name = name.replace(char::is_control, "_");
     escaped(&name, |c| matches!(c, '/' | '+' | '#'))
+}
+
+/// Whether a message says that a die is good: of JSON and of Sparkplug B, which agree.
+#[cfg(test)]
+pub fn says_good(die: &crate::statement::DieStatement) -> bool {
+    let is_good = json::says_good(die);
+    assert_eq!(sparkplug::says_good(die), is_good, "{die:?}");
+    is_good
 }

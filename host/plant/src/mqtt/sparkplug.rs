@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::verdict::Word;
 use flankscope_record::history::Check;
+use flankscope_record::origin::OriginKind;
 use jiff::Timestamp;
 use prost::Message as _;
 
 use super::packets::Message;
 use super::topic_word;
-use crate::standing::{Standing, ToolStanding, Worth};
+use crate::statement::{DieStatement, StationStatement, Worth};
 
 /// Metric by which a host asks for all births.
 const REBIRTH: &str = "Node Control/Rebirth";
@@ -172,57 +173,58 @@ impl Node {
         &mut self,
         check: &Check,
         id: &str,
-        standing: &Standing,
+        station: &StationStatement,
         now: Timestamp,
     ) -> Vec<Message> {
-        let known = standing.tools.iter().find(|of| of.last.tool == check.tool);
+        let known = station.dies.iter().find(|of| of.last.tool == check.tool);
         let mut metrics = of_check(check, id);
         let mut messages = Vec::new();
         let is_new =
             |device: &Device| flank_names(check).any(|name| !device.flanks.contains(&name));
         if self.born.get(&check.tool).is_none_or(is_new) {
             let last = known.map_or(check, |of| &of.last);
-            messages.push(self.device_birth(last, known, check, standing, now));
+            messages.push(self.device_birth(last, known, check, now));
         }
-        let is_historical = known.is_some_and(|of| check.id < of.last.id);
+        // A recording was exposed before it was stored, and is not the tool's last check either.
+        let is_historical = known.is_some_and(|of| check.id != of.last.id)
+            || check.origin.kind() == OriginKind::Recording;
         for metric in metrics.iter_mut().filter(|_| is_historical) {
             metric.is_historical = Some(true);
         }
         if let Some(of) = known.filter(|_| !is_historical) {
-            qualify(&mut metrics, standing.worth(of, now));
+            qualify(&mut metrics, of.worth);
         }
         messages.push(self.data("DDATA", Some(&check.tool), metrics, now));
         messages
     }
 
-    /// What stands now, as far as it differs from what was said before: births of new tools, and deaths of all while the history
-    /// cannot be read.
-    pub fn changes(&mut self, standing: &Standing, now: Timestamp) -> Vec<Message> {
-        if standing.fault.is_some() {
-            let dead = std::mem::take(&mut self.born);
-            let deaths = dead
-                .keys()
-                .map(|tool| self.data("DDEATH", Some(tool), Vec::new(), now));
-            return deaths.collect();
-        }
-        let mut messages = Vec::new();
-        for of in &standing.tools {
-            let current = Some(said(standing, of, now));
+    /// Messages about what stands now, as far as it differs from what was said before: births of new tools, and deaths of those that are no
+    /// longer served: of all while the history cannot be read.
+    pub fn changes(&mut self, station: &StationStatement, now: Timestamp) -> Vec<Message> {
+        let is_served = |tool: &str| station.dies.iter().any(|die| die.last.tool == tool);
+        let born = std::mem::take(&mut self.born).into_iter();
+        let (live, dead): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            born.partition(|(tool, _)| is_served(tool));
+        self.born = live;
+        let deaths = dead
+            .keys()
+            .map(|tool| self.data("DDEATH", Some(tool), Vec::new(), now));
+        let mut messages: Vec<Message> = deaths.collect();
+        for of in &station.dies {
+            let current = Some(said(of));
             match self.born.get_mut(&of.last.tool) {
                 Some(device) if device.said == current => {}
                 Some(device) => {
                     device.said = current;
-                    let mut metrics = live(standing, of, now);
+                    let mut metrics = live(of, now);
                     // What was measured is as old as the verdict on it.
                     let mut check = of_check(&of.last, "");
                     check.retain(|metric| metric.name.as_deref() == Some("Check/Verdict"));
                     metrics.append(&mut check);
-                    qualify(&mut metrics, standing.worth(of, now));
+                    qualify(&mut metrics, of.worth);
                     messages.push(self.data("DDATA", Some(&of.last.tool), metrics, now));
                 }
-                None => {
-                    messages.push(self.device_birth(&of.last, Some(of), &of.last, standing, now))
-                }
+                None => messages.push(self.device_birth(&of.last, Some(of), &of.last, now)),
             }
         }
         messages
@@ -240,18 +242,17 @@ impl Node {
     fn device_birth(
         &mut self,
         last: &Check,
-        known: Option<&ToolStanding>,
+        known: Option<&DieStatement>,
         follows: &Check,
-        standing: &Standing,
         now: Timestamp,
     ) -> Message {
         let mut metrics = match known {
-            Some(of) => live(standing, of, now),
+            Some(of) => live(of, now),
             None => nothing_stands(now),
         };
         metrics.extend(of_check(last, ""));
         if let Some(of) = known {
-            qualify(&mut metrics, standing.worth(of, now));
+            qualify(&mut metrics, of.worth);
         }
         let before = self.born.remove(&last.tool);
         let mut flanks: BTreeSet<String> = before.map(|of| of.flanks).unwrap_or_default();
@@ -265,7 +266,7 @@ impl Node {
         flanks.extend(has);
         let device = Device {
             flanks,
-            said: known.map(|of| said(standing, of, now)),
+            said: known.map(said),
         };
         self.born.insert(last.tool.clone(), device);
         self.data("DBIRTH", Some(&last.tool), metrics, now)
@@ -306,25 +307,32 @@ impl Node {
     }
 }
 
-fn said(standing: &Standing, tool: &ToolStanding, now: Timestamp) -> Said {
+fn said(die: &DieStatement) -> Said {
     Said {
-        verdict: standing.verdict(tool, now),
-        worth: standing.worth(tool, now),
-        latched: tool.latched.as_ref().map(|no_go| no_go.check),
+        verdict: die.verdict,
+        worth: die.worth,
+        latched: die.latched.as_ref().map(|no_go| no_go.check),
     }
 }
 
 /// What stands for a tool: null where no verdict counts.
-fn live(standing: &Standing, tool: &ToolStanding, now: Timestamp) -> Vec<Metric> {
-    let verdict = standing.verdict(tool, now);
-    let latched = Value::Boolean(tool.latched.is_some());
+fn live(die: &DieStatement, now: Timestamp) -> Vec<Metric> {
+    let verdict = die.verdict;
+    let latched = Value::Boolean(die.latched.is_some());
     let mut stands = metric("Verdict", STRING, verdict.map(word), now);
     // A no-go stands however old it is.
     stands.properties = Some(quality(match verdict {
         Some(_) => GOOD,
-        None => quality_of(standing.worth(tool, now)),
+        None => quality_of(die.worth),
     }));
     vec![stands, metric("Latched", BOOLEAN, Some(latched), now)]
+}
+
+/// Whether the metrics say that a die is good.
+#[cfg(test)]
+pub fn says_good(die: &DieStatement) -> bool {
+    let good = [Word::Go, Word::Warn].map(|of| Some(word(of)));
+    good.contains(&live(die, Timestamp::UNIX_EPOCH)[0].value)
 }
 
 /// The same of a tool of which nothing is known yet.
@@ -386,7 +394,7 @@ fn quality_of(worth: Worth) -> u32 {
     match worth {
         Worth::Counts => GOOD,
         Worth::Stale => STALE,
-        Worth::Unknown => BAD,
+        Worth::Unknown(_) => BAD,
     }
 }
 

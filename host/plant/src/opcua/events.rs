@@ -10,7 +10,7 @@ use opcua::types::{
 };
 
 use super::types::{self, CheckResult, Types, evaluation, event_fields, finite};
-use crate::standing::most_worn;
+use crate::statement::most_worn;
 
 /// A check was stored.
 #[derive(Debug)]

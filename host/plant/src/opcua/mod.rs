@@ -42,7 +42,7 @@ use tokio::time::sleep;
 use crate::access::UsersFile;
 use crate::acknowledge::Acknowledging;
 use crate::settings::{OpcuaSettings, Settings};
-use crate::standing::Standing;
+use crate::statement::Standing;
 use certificates::Certificates;
 use nodes::{Manager, PlantNodes};
 use publisher::Publisher;
@@ -225,4 +225,10 @@ async fn prune(certificates: Certificates) -> anyhow::Result<()> {
             tracing::warn!("opcua: refused certificates: {error}");
         }
     }
+}
+
+/// Whether the nodes say that a die is good.
+#[cfg(test)]
+pub fn says_good(die: &crate::statement::DieStatement) -> bool {
+    space::says_good(die)
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use flankscope_record::history::HistoryError;
+use flankscope_record::origin::OriginKind;
 use flankscope_record::seal::Seals;
-use jiff::Timestamp;
 use opcua::nodes::Event;
 use opcua::server::ServerHandle;
 use opcua::types::{NodeId, StatusCode};
@@ -18,7 +18,7 @@ use super::nodes::{Manager, Shown, show};
 use super::space::{self, Node};
 use super::types::Types;
 use crate::history::{HistoryFile, check_id};
-use crate::standing::{Standing, ToolStanding};
+use crate::statement::{DieStatement, Moment, Standing, StationStatement};
 
 /// How often it looks whether a verdict grew too old.
 const EVERY: Duration = Duration::from_millis(500);
@@ -84,22 +84,23 @@ impl Publisher {
 
     fn published(mut self, standing: &Arc<Standing>) -> Result<Self, StatusError> {
         let names = self.manager.inner().names;
-        let mut nodes = space::own(names, standing);
-        if standing.fault.is_none() {
-            self.read_ids(standing);
-            let id_of = |tool: &ToolStanding| {
+        let station = standing.statement(&Moment::now());
+        let mut nodes = space::own(names, &station);
+        if station.fault.is_none() {
+            self.read_ids(standing, &station);
+            let id_of = |tool: &DieStatement| {
                 let (_, ids) = self.read.as_ref()?;
                 let found = ids.iter().find(|(number, _)| *number == tool.last.id);
                 found.map(|(_, id)| id.clone())
             };
-            self.tools = space::nodes(names, standing, Timestamp::now(), &id_of);
+            self.tools = space::nodes(names, &station, &id_of);
         } else {
             self.tools = self.tools.iter().map(Node::unknown).collect();
         }
         nodes.extend(self.tools.iter().cloned());
         let subscriptions = Arc::clone(self.handle.subscriptions());
         show(&self.manager, &subscriptions, &mut self.shown, nodes).map_err(StatusError)?;
-        let service = match standing.fault {
+        let service = match station.fault {
             Some(_) => NO_SERVICE,
             None => SERVICE,
         };
@@ -107,7 +108,7 @@ impl Publisher {
             self.service = service;
             self.handle.set_service_level(service);
         }
-        if standing.fault.is_none() && self.is_behind {
+        if station.fault.is_none() && self.is_behind {
             self.is_behind = self.tell().unwrap_or_else(|error| {
                 tracing::warn!("opcua: {error}");
                 self.history.close();
@@ -119,7 +120,7 @@ impl Publisher {
 
     /// Reads the identifiers of the tools' last checks, unless they were read of what stands now. A check that is stored changes
     /// what stands, so there may be news then.
-    fn read_ids(&mut self, standing: &Arc<Standing>) {
+    fn read_ids(&mut self, standing: &Arc<Standing>, station: &StationStatement) {
         let of_now = |(before, _): &(Arc<Standing>, _)| Arc::ptr_eq(before, standing);
         if self.read.as_ref().is_some_and(of_now) {
             return;
@@ -128,7 +129,7 @@ impl Publisher {
         let read = |file: &mut HistoryFile| -> Result<Vec<Identified>, HistoryError> {
             let (history, _) = file.verified()?;
             let mut ids = Vec::new();
-            for tool in &standing.tools {
+            for tool in &station.dies {
                 let number = tool.last.id;
                 ids.push((number, check_id(&tool.last, &history.document(number)?)));
             }
@@ -189,9 +190,11 @@ impl Publisher {
                 namespace: names.own,
             };
             let event = CheckEvent::new(types, &check, &id, &tool);
-            // Told of a tool, the server tells it itself, too.
-            let told: [(&dyn Event, &NodeId); 1] = [(&event, &tool)];
-            self.handle.subscriptions().notify_events(told.into_iter());
+            // A recording is not an event at the press. Told of a tool, the server tells it itself, too.
+            if check.origin.kind() != OriginKind::Recording {
+                let told: [(&dyn Event, &NodeId); 1] = [(&event, &tool)];
+                self.handle.subscriptions().notify_events(told.into_iter());
+            }
             number = next;
             self.told = Some((next, id));
         }

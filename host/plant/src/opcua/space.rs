@@ -3,7 +3,7 @@
 
 use flankscope_metrology::verdict::Word;
 use flankscope_record::history::FlankRow;
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use opcua::types::{
     DataTypeId, DataValue, DateTime, EUInformation, ExtensionObject, LocalizedText, NodeId,
     ObjectId, ObjectTypeId, ReferenceTypeId, StatusCode, VariableTypeId, Variant,
@@ -11,7 +11,7 @@ use opcua::types::{
 
 use super::types::{self, CheckResult, Types, UNDEFINED, evaluation, finite};
 use crate::percent::escaped;
-use crate::standing::{Standing, ToolStanding, Worth};
+use crate::statement::{DieStatement, Doubt, StationStatement, Worth};
 
 /// Namespaces whose terms are used for what a machine is and where it stands.
 pub const MACHINERY: &str = "http://opcfoundation.org/UA/Machinery/";
@@ -179,9 +179,8 @@ fn readable(name: &str) -> String {
 /// What stands, as nodes: parents before what is in them. `id_of` has the identifiers of the tools' last checks.
 pub fn nodes(
     names: Names,
-    standing: &Standing,
-    now: Timestamp,
-    id_of: &dyn Fn(&ToolStanding) -> Option<String>,
+    station: &StationStatement,
+    id_of: &dyn Fn(&DieStatement) -> Option<String>,
 ) -> Vec<Node> {
     let mut nodes = Nodes {
         names,
@@ -189,13 +188,13 @@ pub fn nodes(
         source_time: None,
     };
     let mut stations: Vec<&str> = Vec::new();
-    for tool in &standing.tools {
-        let station = tool.last.origin.station.as_str();
-        if !stations.contains(&station) {
-            stations.push(station);
-            nodes.station(station);
+    for tool in &station.dies {
+        let name = tool.last.origin.station.as_str();
+        if !stations.contains(&name) {
+            stations.push(name);
+            nodes.station(name);
         }
-        nodes.tool(standing, tool, now, id_of(tool));
+        nodes.tool(tool, id_of(tool));
     }
     nodes.nodes
 }
@@ -350,24 +349,19 @@ impl Nodes {
         self.object(&tools, place, name, ObjectTypeId::FolderType, false);
     }
 
-    fn tool(
-        &mut self,
-        standing: &Standing,
-        tool: &ToolStanding,
-        now: Timestamp,
-        result_id: Option<String>,
-    ) {
+    fn tool(&mut self, tool: &DieStatement, result_id: Option<String>) {
         let last = &tool.last;
         let id = tool_id(self.names, &last.tool);
         let tools = self.child(&station_id(self.names, &last.origin.station), "Tools");
         let place = (&tools, ReferenceTypeId::Organizes);
         let base = ObjectTypeId::BaseObjectType;
         self.object(&id, place, (self.names.own, &last.tool), base, true);
-        let worth = standing.worth(tool, now);
-        let status = match worth {
+        let status = match tool.worth {
             Worth::Counts => StatusCode::Good,
             Worth::Stale => StatusCode::UncertainLastUsableValue,
-            Worth::Unknown => StatusCode::BadInvalidTimestamp,
+            // Nothing of the press was looked at.
+            Worth::Unknown(Doubt::Recording) => StatusCode::UncertainLastUsableValue,
+            Worth::Unknown(_) => StatusCode::BadInvalidTimestamp,
         };
         self.source_time = Some(types::time(last));
         let serial = Value::good(DataTypeId::String, last.serial.clone().unwrap_or_default());
@@ -375,7 +369,7 @@ impl Nodes {
         let cycles = Value::new(DataTypeId::UInt64, types::cycles(last), status);
         self.variable(&id, "CycleCount", cycles);
 
-        self.standing(&id, standing, tool, now, status);
+        self.standing(&id, tool, status);
         for method in [Method::Acknowledge, Method::StartCheck] {
             let name = method.name();
             self.nodes.push(Node {
@@ -397,16 +391,9 @@ impl Nodes {
     }
 
     /// What stands for a tool now.
-    fn standing(
-        &mut self,
-        id: &NodeId,
-        standing: &Standing,
-        tool: &ToolStanding,
-        now: Timestamp,
-        status: StatusCode,
-    ) {
+    fn standing(&mut self, id: &NodeId, tool: &DieStatement, status: StatusCode) {
         let types = self.types();
-        let stands = standing.verdict(tool, now);
+        let stands = tool.verdict;
         // A no-go stands however old it is.
         let standing_status = stands.map_or(status, |_| StatusCode::Good);
         let word = stands.map_or("", Word::as_str);
@@ -418,12 +405,22 @@ impl Nodes {
             ..Value::new(DataTypeId::Int32, number, standing_status).safe(UNDEFINED)
         };
         self.variable(id, "Evaluation", value);
-        let counts = standing.worth(tool, now) == Worth::Counts;
+        let counts = tool.worth == Worth::Counts;
         let counts = Value::good(DataTypeId::Boolean, counts).safe(false);
         self.variable(id, "Counts", counts);
-        let until = counts_until(standing, tool).unwrap_or_else(DateTime::null);
+        let time = |at: Option<Timestamp>| {
+            let time = at.and_then(|at| DateTime::parse_from_rfc3339(&at.to_string()).ok());
+            time.unwrap_or_else(DateTime::null)
+        };
+        let until = time(tool.counts_until);
         let until = Value::good(DataTypeId::UtcTime, until);
         self.variable(id, "CountsUntil", until);
+        let exposed = Value::good(DataTypeId::UtcTime, time(tool.exposed_at));
+        self.variable(id, "ExposedAt", exposed);
+        let origin = Value::good(DataTypeId::String, tool.origin.word());
+        self.variable(id, "Origin", origin);
+        let doubt = tool.worth.doubt().map_or("", Doubt::word);
+        self.variable(id, "Doubt", Value::good(DataTypeId::String, doubt));
         let latched = tool.latched.as_ref().map(|no_go| no_go.check);
         // While nothing is known it may well be latched.
         let is_latched = Value::good(DataTypeId::Boolean, latched.is_some()).safe(true);
@@ -436,7 +433,7 @@ impl Nodes {
     fn latest(
         &mut self,
         latest: &NodeId,
-        tool: &ToolStanding,
+        tool: &DieStatement,
         result_id: Option<String>,
         status: StatusCode,
     ) {
@@ -528,12 +525,37 @@ impl Nodes {
     }
 }
 
-/// When a tool's verdict becomes too old.
-fn counts_until(standing: &Standing, tool: &ToolStanding) -> Option<DateTime> {
-    let at: Timestamp = tool.last.at.parse().ok()?;
-    let age = SignedDuration::from_secs(i64::from(standing.stale_after_s));
-    let until = at.checked_add(age).ok()?;
-    DateTime::parse_from_rfc3339(&until.to_string()).ok()
+/// Whether the nodes of a tool say that it is good.
+#[cfg(test)]
+pub fn says_good(die: &DieStatement) -> bool {
+    let mut nodes = Nodes {
+        names: Names {
+            own: 2,
+            machinery: 3,
+            devices: 4,
+        },
+        nodes: Vec::new(),
+        source_time: None,
+    };
+    nodes.tool(die, None);
+    let value = |name: &str| {
+        let parent = tool_id(nodes.names, &die.last.tool);
+        let mut found = nodes.nodes.iter().filter(|node| node.parent == parent);
+        found
+            .find(|node| node.name == name)
+            .and_then(|node| match &node.kind {
+                Kind::Variable { value, .. } => Some(value.clone()),
+                _ => None,
+            })
+    };
+    let good = [Word::Go, Word::Warn].map(|word| Some(Variant::from(word.as_str())));
+    let is_good = good.contains(&value("Verdict"));
+    assert_eq!(
+        value("Evaluation") == Some(Variant::from(1_i32)),
+        is_good,
+        "{die:?}"
+    );
+    is_good
 }
 
 /// Micrometre by its code of UN/CEFACT, "4H", whose bytes are its number.
@@ -547,7 +569,7 @@ fn micrometre() -> EUInformation {
 }
 
 /// Where this process says how it stands itself, and its nodes.
-pub fn own(names: Names, standing: &Standing) -> Vec<Node> {
+pub fn own(names: Names, station: &StationStatement) -> Vec<Node> {
     let mut nodes = Nodes {
         names,
         nodes: Vec::new(),
@@ -561,9 +583,9 @@ pub fn own(names: Names, standing: &Standing) -> Vec<Node> {
     let machines_name = (names.machinery, "Machines");
     let folder = ObjectTypeId::FolderType;
     nodes.object(&machines(names), place, machines_name, folder, false);
-    let fault = standing.fault.as_deref().unwrap_or_default();
+    let fault = station.fault.as_deref().unwrap_or_default();
     nodes.variable(&id, "HistoryFault", Value::good(DataTypeId::String, fault));
-    let age_ms = 1000.0 * f64::from(standing.stale_after_s);
+    let age_ms = 1000.0 * station.stale_after.as_secs_f64();
     nodes.variable(&id, "StaleAfter", Value::good(DataTypeId::Duration, age_ms));
     nodes.nodes
 }

@@ -14,6 +14,7 @@ use serde::Deserialize;
 use super::Site;
 use super::language::Language;
 use super::views::Login;
+use crate::places::Place;
 
 const COOKIE: &str = "flankscope_token";
 
@@ -74,14 +75,13 @@ impl Names {
 
 /// Refuses what is addressed to another name, and changes that another site's page asks for; adds [`HEADERS`].
 pub async fn of_this_site(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
-    let host = text(request.headers(), &header::HOST);
-    let from = text(request.headers(), &header::ORIGIN);
-    let from = from.map(|origin| origin.split_once("://").map_or(origin, |(_, host)| host));
+    let host = only(request.headers(), &header::HOST);
+    let from = only(request.headers(), &header::ORIGIN);
     let is_change = !matches!(*request.method(), Method::GET | Method::HEAD);
-    let mut answer = if !host.is_some_and(|host| site.names.holds(host)) {
+    let mut answer = if !matches!(host, Only::Text(host) if site.names.holds(host)) {
         let why = "this address is served under another name ([page] name in plant.toml)\n";
         (StatusCode::MISDIRECTED_REQUEST, why).into_response()
-    } else if is_change && !from.is_none_or(|from| site.names.holds(from)) {
+    } else if is_change && !is_own(&from, &site.names) {
         (StatusCode::FORBIDDEN, "asked for by another site\n").into_response()
     } else {
         next.run(request).await
@@ -94,6 +94,36 @@ pub async fn of_this_site(State(site): State<Arc<Site>>, request: Request, next:
     answer
 }
 
+/// Value of a header that may be sent once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Only<'a> {
+    Missing,
+    Text(&'a str),
+    /// It is sent twice, or has bytes beyond ASCII.
+    Unusable,
+}
+
+fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Only<'a> {
+    let mut values = headers.get_all(name).iter();
+    match (values.next(), values.next()) {
+        (None, _) => Only::Missing,
+        (Some(value), None) => value.to_str().map_or(Only::Unusable, Only::Text),
+        (Some(_), Some(_)) => Only::Unusable,
+    }
+}
+
+/// Whether the origin is a page of this site, or missing, as in requests of programs.
+fn is_own(origin: &Only<'_>, names: &Names) -> bool {
+    match origin {
+        Only::Missing => true,
+        Only::Text(origin) => {
+            let host = origin.split_once("://").map_or(*origin, |(_, host)| host);
+            names.holds(host)
+        }
+        Only::Unusable => false,
+    }
+}
+
 /// Passes on requests with a token; the others get the page for entering one, with status 401.
 pub async fn with_token(
     State(site): State<Arc<Site>>,
@@ -103,6 +133,9 @@ pub async fn with_token(
 ) -> Response {
     let user = token(request.headers()).and_then(|token| site.users.of_token(token));
     if let Some(user) = user {
+        if let Some(place) = request.extensions().get::<Arc<Place>>() {
+            place.prove();
+        }
         request.extensions_mut().insert(user);
         return next.run(request).await;
     }
@@ -176,4 +209,38 @@ pub async fn login(
 pub async fn logout() -> Response {
     let cookie = format!("{COOKIE}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0");
     ([(header::SET_COOKIE, cookie)], Redirect::to("/")).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_change_is_refused_for_an_origin_that_is_foreign_doubled_or_not_ascii() {
+        let names = Names::new("127.0.0.1:8460".parse().unwrap(), None, false);
+        for (origins, is_accepted) in [
+            (&[][..], true),
+            (&[&b"http://127.0.0.1:8460"[..]][..], true),
+            (&[&b"https://evil.example"[..]], false),
+            (&[&b"https://evil.example/\xff"[..]], false),
+            (
+                &[&b"http://127.0.0.1:8460"[..], b"http://127.0.0.1:8460"],
+                false,
+            ),
+            (
+                &[&b"http://127.0.0.1:8460"[..], b"https://evil.example"],
+                false,
+            ),
+            (&[&b"null"[..]], false),
+            (&[&b""[..]], false),
+        ] {
+            let mut headers = HeaderMap::new();
+            for origin in origins {
+                let origin = HeaderValue::from_bytes(origin).unwrap();
+                headers.append(header::ORIGIN, origin);
+            }
+            let origin = only(&headers, &header::ORIGIN);
+            assert_eq!(is_own(&origin, &names), is_accepted, "{origins:?}");
+        }
+    }
 }

@@ -26,12 +26,12 @@ use axum::middleware;
 use axum::response::sse::{Event, Sse};
 use axum::response::{Html, IntoResponse, Redirect, Response};
 use axum::routing::{get, post};
+use flankscope_foundation::clock::BootTime;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::check_request::RequestError;
 use flankscope_record::history::{Forecast, History, HistoryError, series};
 use flankscope_record::seal::Seals;
 use flankscope_report::history_html;
-use jiff::Timestamp;
 use serde::Deserialize;
 use tokio::sync::watch;
 use tokio::time::interval;
@@ -44,8 +44,8 @@ use crate::history::HistoryFile;
 use crate::live::Live;
 use crate::metrics;
 use crate::settings::Settings;
-use crate::standing::Standing;
 use crate::start_check::{NotStarted, start_check};
+use crate::statement::{Moment, Standing, StationStatement};
 pub use entry::Names;
 use language::Language;
 use views::{Board, CheckPage, List};
@@ -54,7 +54,7 @@ use views::{Board, CheckPage, List};
 const LISTED: u32 = 50;
 /// Largest body of a request, bytes: a token, or a reason.
 const MOST_BODY: usize = 4096;
-/// How often a page hears that its connection stands; its verdicts grey out after three times that.
+/// How often a page hears that its connection stands, and asks for the board anew.
 const TICK: Duration = Duration::from_secs(5);
 
 /// What the routes share.
@@ -93,12 +93,17 @@ impl Site {
         }
     }
 
+    /// Statement of this moment.
+    fn statement(&self) -> StationStatement {
+        self.standing.borrow().statement(&Moment::now())
+    }
+
     /// Reads the history where it holds up nobody.
     async fn ask<T: Send + 'static>(
         self: &Arc<Self>,
         question: impl FnOnce(&History) -> Result<T, HistoryError> + Send + 'static,
     ) -> Result<T, Failed> {
-        if let Some(fault) = &self.standing.borrow().fault {
+        if let Some(fault) = self.statement().fault {
             return Err(Failed::Because(fault.to_string()));
         }
         let site = Arc::clone(self);
@@ -227,6 +232,8 @@ pub fn routes(site: Arc<Site>) -> Router {
         .route("/", get(home))
         .route("/board", get(board))
         .route("/now", get(now))
+        .route("/now/state", get(now_state))
+        .route("/now/pictures", get(now_pictures))
         .route("/events", get(events))
         .route("/checks", get(checks))
         .route("/checks/{id}", get(check))
@@ -293,7 +300,7 @@ async fn home(
     lang: Language,
 ) -> Shown {
     let board = board_now(&site, &user, lang)?;
-    let now = now_of(&site, lang).await?;
+    let (now, pictures) = (state_of(&site, lang).await?, pictures_of(&site, lang)?);
     let has_map3d = match &site.reports {
         Some(folder) => tokio::fs::try_exists(views::map3d(folder)).await,
         None => Ok(false),
@@ -302,6 +309,7 @@ async fn home(
         lang,
         board,
         now,
+        pictures,
         has_map3d: has_map3d.unwrap_or(false),
         acknowledges: user.role.acknowledges(),
         is_admin: user.role == Role::Admin,
@@ -317,15 +325,30 @@ async fn board(
     Ok(Html(board_now(&site, &user, lang)?))
 }
 
+/// State and pictures of the watch, as a page of its own.
 async fn now(State(site): State<Arc<Site>>, lang: Language) -> Shown {
-    Ok(Html(now_of(&site, lang).await?))
+    let pictures = pictures_of(&site, lang)?;
+    Ok(Html(state_of(&site, lang).await? + &pictures))
 }
 
-async fn now_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
+async fn now_state(State(site): State<Arc<Site>>, lang: Language) -> Shown {
+    Ok(Html(state_of(&site, lang).await?))
+}
+
+async fn now_pictures(State(site): State<Arc<Site>>, lang: Language) -> Shown {
+    Ok(Html(pictures_of(&site, lang)?))
+}
+
+async fn state_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
     let history = site.acknowledging.history.clone();
     let free_bytes = tokio::task::spawn_blocking(move || free_bytes(&history)).await;
     let live = site.live.borrow().clone();
-    views::Now::new(&live, free_bytes.ok().flatten(), lang).render()
+    views::Now::new(&live, &BootTime::now(), free_bytes.ok().flatten(), lang).render()
+}
+
+fn pictures_of(site: &Site, lang: Language) -> Result<String, askama::Error> {
+    let pictures = Arc::clone(&site.live.borrow().pictures);
+    views::LastPictures { lang, pictures }.render()
 }
 
 /// What the disk with this file has free for its user.
@@ -335,22 +358,21 @@ fn free_bytes(file: &std::path::Path) -> Option<u64> {
 }
 
 fn board_now(site: &Site, user: &User, lang: Language) -> Result<String, askama::Error> {
-    Board::new(
-        &site.standing.borrow(),
-        Timestamp::now(),
-        user.role.acknowledges(),
-        lang,
-    )
-    .render()
+    Board::new(&site.statement(), user.role.acknowledges(), lang).render()
 }
 
 /// A line at every change, and at least every [`TICK`]: the page then asks for the board, whose ages have changed, or for what the
-/// watch does now.
+/// watch does now or its pictures. The line itself proves nothing: only the answer to a question does.
 async fn events(
     State(site): State<Arc<Site>>,
 ) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
     let changes = WatchStream::new(site.standing.clone()).map(|_| "changed");
-    let live = WatchStream::new(site.live.clone()).map(|_| "live");
+    let mut pictures = Arc::clone(&site.live.borrow().pictures);
+    let live = WatchStream::new(site.live.clone()).map(move |live| {
+        let is_same = Arc::ptr_eq(&pictures, &live.pictures);
+        pictures = live.pictures;
+        if is_same { "live" } else { "pictures" }
+    });
     let ticks = IntervalStream::new(interval(TICK)).map(|_| "tick");
     Sse::new(
         changes
@@ -448,9 +470,17 @@ async fn report(State(site): State<Arc<Site>>, Path(page): Path<String>) -> Show
 }
 
 async fn scraped(State(site): State<Arc<Site>>) -> Response {
-    let live = site.live.borrow().state.clone();
-    match metrics::text(&site.standing.borrow(), live.as_deref(), Timestamp::now()) {
+    let live = site.live.borrow().clone();
+    let live = live.current(&BootTime::now());
+    match metrics::text(&site.statement(), live) {
         Ok(text) => ([(header::CONTENT_TYPE, metrics::CONTENT_TYPE)], text).into_response(),
         Err(error) => Failed::Because(error.to_string()).into_response(),
     }
+}
+
+/// Whether the page says that a die is good.
+#[cfg(test)]
+pub fn says_good(station: &StationStatement, tool: &str) -> bool {
+    let board = Board::new(station, false, Language::English);
+    board.says_good(tool)
 }

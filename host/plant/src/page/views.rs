@@ -1,26 +1,31 @@
 //! What the templates show.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use askama::Template;
+use flankscope_foundation::clock::BootTime;
 use flankscope_foundation::date::Date;
 use flankscope_foundation::files::read_text;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::{LivePicture, LiveState};
 use flankscope_record::history::{Check, FlankRow};
+use flankscope_record::origin::OriginKind;
 use flankscope_report::figure;
-use jiff::Timestamp;
 
 use super::language::Language;
 use crate::access::{Role, User};
 use crate::live::Live;
 use crate::percent;
-use crate::standing::{Standing, ToolStanding, Worth, most_worn};
+use crate::statement::{DieStatement, Doubt, StationStatement, Worth, most_worn};
 
 /// Name of the newest check's maps in space.
 const MAP3D: &str = "map3d.html";
 /// Free space of the history's disk below which it is an alarm, bytes.
 const LOW_DISK_BYTES: u64 = 1 << 30;
+/// Time for which a tile is believed without a new answer of the server: three times the interval at which the page asks.
+const BOARD_LIFE: Duration = Duration::from_secs(15);
 /// Largest page of a report, bytes.
 const MOST_REPORT: u64 = 4 << 20;
 
@@ -40,6 +45,7 @@ pub struct Home {
     pub lang: Language,
     pub board: String,
     pub now: String,
+    pub pictures: String,
     /// Whether there are maps in space.
     pub has_map3d: bool,
     /// Whether its reader acknowledges and starts checks.
@@ -73,11 +79,22 @@ pub struct Now<'a> {
     lang: Language,
     today: Date,
     state: Option<&'a LiveState>,
+    /// Seconds since the last statement of a watch that is connected and whose statement holds no longer.
+    silent_s: Option<u64>,
+    /// Time for which the statement holds, ms.
+    valid_ms: u128,
     /// What the history's disk has free, if it says.
     free_bytes: Option<u64>,
     /// Steps of the check, with their seconds and their lengths as shares of the whole, percent.
     steps: Vec<Step<'a>>,
-    pictures: &'a [LivePicture],
+}
+
+/// Maps and camera frames of the last check.
+#[derive(Template)]
+#[template(path = "pictures.html")]
+pub struct LastPictures {
+    pub lang: Language,
+    pub pictures: Arc<[LivePicture]>,
 }
 
 struct Step<'a> {
@@ -87,8 +104,14 @@ struct Step<'a> {
 }
 
 impl<'a> Now<'a> {
-    pub fn new(live: &'a Live, free_bytes: Option<u64>, lang: Language) -> Self {
-        let state = live.state.as_deref();
+    pub fn new(live: &'a Live, now: &BootTime, free_bytes: Option<u64>, lang: Language) -> Self {
+        let state = live.current(now);
+        let silent = live.state.as_ref().filter(|_| state.is_none());
+        let silent_s = silent.map(|state| {
+            let said_at = state.said_at.as_ref();
+            let since = said_at.and_then(|said_at| now.since(said_at));
+            since.map_or(0, |since| since.as_secs())
+        });
         let steps = state.map_or(&[][..], |state| &state.steps);
         let whole_ms = steps.last().map_or(1, |last| last.at_ms.max(1));
         let ends_ms = steps.iter().skip(1).map(|next| next.at_ms);
@@ -102,9 +125,10 @@ impl<'a> Now<'a> {
             lang,
             today: Date::today(),
             state,
+            silent_s,
+            valid_ms: live.valid_for(now).as_millis(),
             free_bytes,
             steps: steps.collect(),
-            pictures: &live.pictures,
         }
     }
 }
@@ -115,6 +139,8 @@ impl<'a> Now<'a> {
 pub struct Board {
     lang: Language,
     fault: Option<String>,
+    /// Check and die of the no-gos that are open while the history cannot be read.
+    open_no_gos: Vec<String>,
     tools: Vec<Tile>,
     /// Whether its reader may acknowledge.
     acknowledges: bool,
@@ -126,11 +152,17 @@ struct Tile {
     /// Class and word of the badge.
     badge: &'static str,
     word: &'static str,
+    /// Time for which the tile may be believed without a new one, ms.
+    valid_ms: u128,
     /// Why the verdict does not count, if it does not.
     not_counting: Option<String>,
     /// The check whose no-go is not acknowledged.
     latched: Option<i64>,
     simulated: bool,
+    /// The check shown is a recording: of this day, if that is known.
+    is_recording: bool,
+    /// A newer recording: its number and what it says.
+    recording: Option<(i64, String)>,
     age: String,
     id: i64,
     reason: String,
@@ -140,59 +172,110 @@ struct Tile {
 }
 
 impl Board {
-    pub fn new(standing: &Standing, now: Timestamp, acknowledges: bool, lang: Language) -> Self {
-        let tile = |of: &ToolStanding| {
-            let last = &of.last;
-            let age = standing.age_s(of, now).map_or_else(
-                || lang.of("at an unknown time", "zu unbekannter Zeit").into(),
-                |age_s| ago(age_s, lang),
-            );
-            let old = || {
-                let before = lang.of("last", "zuletzt");
-                Some(format!("{before} {}, {age}", shown(last.verdict, lang)))
-            };
-            let (badge, word, not_counting) = match standing.verdict(of, now) {
-                Some(word) => (word.as_str(), shown(word, lang), None),
-                None if standing.worth(of, now) == Worth::Stale => {
-                    ("old", lang.of("TOO OLD", "ZU ALT"), old())
-                }
-                None => ("old", lang.of("UNKNOWN", "UNBEKANNT"), old()),
-            };
-            Tile {
-                tool: last.tool.clone(),
-                query: percent::encoded(&last.tool),
-                badge,
-                word,
-                not_counting,
-                latched: of.latched.as_ref().map(|no_go| no_go.check),
-                simulated: last.origin.simulated,
-                age,
-                id: last.id,
-                reason: last.reason.clone(),
-                worst: most_worn(last).map(|flank| worn(flank, lang)),
-                particulars: format!(
-                    "{} {} · {} {} · {} {}",
-                    lang.of("station", "Station"),
-                    last.origin.station,
-                    lang.of("head", "Messkopf"),
-                    last.origin.head.name,
-                    lang.of("press cycles", "Pressenhübe"),
-                    last.tool_cycles,
-                ),
-                counts: of
-                    .counts
-                    .iter()
-                    .map(|(word, count)| format!("{count} {}", word.as_str()))
-                    .collect::<Vec<_>>()
-                    .join(" · "),
-            }
+    pub fn new(station: &StationStatement, acknowledges: bool, lang: Language) -> Self {
+        let open_no_gos = match station.fault {
+            Some(_) => station
+                .open_no_gos
+                .iter()
+                .map(ToString::to_string)
+                .collect(),
+            // Each tile shows its own.
+            None => Vec::new(),
         };
         Self {
             lang,
-            fault: standing.fault.as_deref().map(str::to_owned),
-            tools: standing.tools.iter().map(tile).collect(),
+            fault: station.fault.as_deref().map(str::to_owned),
+            open_no_gos,
+            tools: station.dies.iter().map(|die| tile(die, lang)).collect(),
             acknowledges,
         }
+    }
+}
+
+#[cfg(test)]
+impl Board {
+    pub fn says_good(&self, tool: &str) -> bool {
+        let mut tiles = self.tools.iter();
+        tiles.any(|tile| tile.tool == tool && matches!(tile.badge, "go" | "warn"))
+    }
+}
+
+fn tile(die: &DieStatement, lang: Language) -> Tile {
+    let last = &die.last;
+    let is_recording = die.origin == OriginKind::Recording;
+    let age = match die.age {
+        Some(age) => ago(age.as_secs(), lang),
+        None => lang.of("at an unknown time", "zu unbekannter Zeit").into(),
+    };
+    let (badge, word) = match (die.verdict, die.worth) {
+        (Some(word), _) => (word.as_str(), shown(word, lang)),
+        (None, Worth::Stale) => ("old", lang.of("TOO OLD", "ZU ALT")),
+        (None, _) if is_recording => ("old", lang.of("RECORDING", "AUFNAHME")),
+        (None, _) => ("old", lang.of("UNKNOWN", "UNBEKANNT")),
+    };
+    let not_counting = die.verdict.is_none().then(|| {
+        let before = lang.of("last", "zuletzt");
+        let why = die.worth.doubt().map_or("", |doubt| doubted(doubt, lang));
+        format!("{before} {}, {age}{why}", shown(last.verdict, lang))
+    });
+    // A verdict that stands because it is young is believed until it is too old, everything else for as long as the board.
+    let valid = match die.verdict {
+        Some(word) if word != Word::NoGo => BOARD_LIFE.min(die.valid_for),
+        _ => BOARD_LIFE,
+    };
+    let recording = die.recording.as_ref();
+    Tile {
+        tool: last.tool.clone(),
+        query: percent::encoded(&last.tool),
+        badge,
+        word,
+        valid_ms: valid.as_millis(),
+        not_counting,
+        latched: die.latched.as_ref().map(|no_go| no_go.check),
+        simulated: last.origin.simulated,
+        is_recording,
+        recording: recording.map(|check| (check.id, shown(check.verdict, lang).to_owned())),
+        age,
+        id: last.id,
+        reason: last.reason.clone(),
+        worst: most_worn(last).map(|flank| worn(flank, lang)),
+        particulars: format!(
+            "{} {} · {} {} · {} {}",
+            lang.of("station", "Station"),
+            last.origin.station,
+            lang.of("head", "Messkopf"),
+            last.origin.head.name,
+            lang.of("press cycles", "Pressenhübe"),
+            last.tool_cycles,
+        ),
+        counts: die
+            .counts
+            .iter()
+            .map(|(word, count)| format!("{count} {}", word.as_str()))
+            .collect::<Vec<_>>()
+            .join(" · "),
+    }
+}
+
+/// Why the age of a check is not believed, after a comma.
+fn doubted(doubt: Doubt, lang: Language) -> &'static str {
+    match doubt {
+        Doubt::Recording => lang.of(
+            ", from recorded frames, not from the press",
+            ", aus aufgezeichneten Bildern, nicht von der Presse",
+        ),
+        Doubt::ClockAhead => lang.of(
+            ", with a date in the future: set the clock right",
+            ", mit einem Datum in der Zukunft: Uhr richtig stellen",
+        ),
+        Doubt::ClockSetBack => lang.of(
+            ", and the clock was set back since then: the next check counts again",
+            ", und die Uhr wurde seitdem zurückgestellt: Die nächste Prüfung gilt wieder",
+        ),
+        Doubt::BeforeBoot => lang.of(
+            ", before this computer was started: the next check counts again",
+            ", vor dem Start dieses Rechners: Die nächste Prüfung gilt wieder",
+        ),
     }
 }
 
@@ -332,8 +415,6 @@ fn is_page(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use flankscope_record::document::{HeadDates, LiveCounts};
 
     use super::*;
@@ -348,11 +429,13 @@ mod tests {
         };
         let mut state = LiveState::new("press 7".into(), "die".into(), false, head);
         state.made = made;
+        let now = BootTime::now();
+        (state.said_at, state.holds_ms) = (Some(now.clone()), 1000);
         let live = Live {
             state: Some(Arc::new(state)),
             ..Live::default()
         };
-        let now = Now::new(&live, Some(free_bytes), Language::English);
+        let now = Now::new(&live, &now, Some(free_bytes), Language::English);
         let page = now.render().unwrap();
         let alarms = page.split("<li class=\"alarm\">").skip(1);
         alarms

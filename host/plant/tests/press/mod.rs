@@ -94,6 +94,7 @@ pub fn inspection(tool: &str, tooth: u32, verdict: Word, press_cycles: u32) -> I
             recording: None,
         },
         date: "2026-01-31T12:00:00Z".into(),
+        last_exposure: None,
         verdict,
         reason: "as stated".into(),
         features: vec![feature],

@@ -1,6 +1,7 @@
 //! Result of a check: the JSON document, and the data that the report draws.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
@@ -9,7 +10,7 @@ use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::MissingTooth;
 use flankscope_profilometry::decode::{LightMedians, Projectors, Rejected};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::baseline::{Baseline, BaselineError, Reference, ViewReference};
 use crate::die::DieKey;
@@ -18,6 +19,8 @@ use flankscope_metrology::kinematics::Moves;
 
 use crate::document::{Evidence, FeatureId, FlankInView, Phasors, Recipe, ToothIdentity};
 use flankscope_foundation::activity::Activity;
+use flankscope_foundation::clock::BootTime;
+use flankscope_foundation::date;
 use flankscope_profilometry::Picture;
 
 /// Result of one inspected flank or patch: a row of the table.
@@ -116,6 +119,27 @@ pub struct Expanded {
     pub value: f64,
     /// Expanded uncertainty.
     pub u95: f64,
+}
+
+/// When the last exposure of a check ended. The age of a check is counted from here.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LastExposure {
+    /// By the host's wall clock: ISO 8601, UTC.
+    pub at: String,
+    /// By the time since the computer started, which is never set.
+    #[serde(flatten)]
+    pub boot: BootTime,
+}
+
+impl LastExposure {
+    /// The moment that long before now.
+    #[must_use]
+    pub fn before_now(age: Duration) -> Self {
+        Self {
+            at: date::before_now(age),
+            boot: BootTime::now().before(age),
+        }
+    }
 }
 
 /// Durations of a check, ms.
@@ -270,6 +294,9 @@ pub struct Inspection {
     pub origin: Origin,
     /// End of the check: ISO 8601, UTC, by the host's clock.
     pub date: String,
+    /// End of the last exposure; absent for a recording and if nothing was exposed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last_exposure: Option<LastExposure>,
     pub verdict: Word,
     /// Reason of the verdict, in one sentence.
     pub reason: String,

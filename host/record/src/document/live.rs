@@ -3,7 +3,9 @@
 //! A line is complete in itself, so that a reader may begin at any line and lose any.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
+use flankscope_foundation::clock::BootTime;
 use flankscope_metrology::verdict::Shown;
 use flankscope_profilometry::head::HeadDates;
 use serde::{Deserialize, Serialize};
@@ -32,6 +34,15 @@ pub enum LiveLine {
 /// What a watch does now.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LiveState {
+    /// Number of the statement since the watch began, from 1; 0 of a watch that does not count.
+    #[serde(default)]
+    pub sequence: u64,
+    /// When it was made; absent from a watch that does not say, whose statements are never taken for the present.
+    #[serde(default)]
+    pub said_at: Option<BootTime>,
+    /// Time from then on for which it holds, ms. Without a next statement by then, what the watch does is not known.
+    #[serde(default)]
+    pub holds_ms: u64,
     /// Name of the station.
     pub station: String,
     /// Name of the tool.
@@ -59,6 +70,9 @@ impl LiveState {
     #[must_use]
     pub fn new(station: String, tool: String, simulated: bool, head: HeadDates) -> Self {
         Self {
+            sequence: 0,
+            said_at: None,
+            holds_ms: 0,
             station,
             tool,
             simulated,
@@ -70,6 +84,15 @@ impl LiveState {
             head,
             made: LiveCounts::default(),
         }
+    }
+
+    /// Time for which it still holds; zero if it does no longer, or if no clock proves when it was made.
+    #[must_use]
+    pub fn valid_for(&self, now: &BootTime) -> Duration {
+        let said_at = self.said_at.as_ref();
+        let age = said_at.and_then(|said_at| now.since(said_at));
+        let holds = Duration::from_millis(self.holds_ms);
+        age.map_or(Duration::ZERO, |age| holds.saturating_sub(age))
     }
 }
 

@@ -23,8 +23,8 @@ pub mod scan;
 mod setup;
 
 pub use check::{
-    Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
-    Timing, Toothing, ViewRegistration, ViewStatus, WeakDirection,
+    Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, LastExposure,
+    Light, Pictures, Timing, Toothing, ViewRegistration, ViewStatus, WeakDirection,
 };
 pub use comparison::{ComparedCheck, ComparedFlank, Comparison};
 pub use evidence::{Evidence, FurtherEvidence, Phasors, Problem, Recipe, RecordedRecipe};

@@ -110,6 +110,23 @@ pub enum HistoryError {
         /// Die and time of the no-go.
         stands: Box<StandingNoGo>,
     },
+    /// A person acknowledged a no-go that does not stand, or not as the newest of its die.
+    #[error("history {}: check {check} is not a no-go that stands: it was acknowledged already, or a newer one of this die stands; look again", path.display())]
+    NotStanding {
+        /// The file.
+        path: PathBuf,
+        /// Number of the check.
+        check: i64,
+    },
+    /// A no-go was stored after the check that the person saw.
+    #[error("history {}: a newer no-go stands ({newest}) than check {seen}, which was acknowledged: look again", path.display())]
+    NewerNoGo {
+        /// The file.
+        path: PathBuf,
+        /// The newest check that the person saw.
+        seen: i64,
+        newest: Box<StandingNoGo>,
+    },
     #[error("history {} has {names} names (hard links): SQLite and other watches know a file by its name; leave it one, and copy it with sqlite3 {} \".backup COPY\"", path.display(), path.display())]
     SeveralNames {
         /// One of the names.

@@ -10,8 +10,8 @@ use super::error::HistoryError;
 use super::same_die::{columns, same, same_as_asked};
 use super::store::History;
 use crate::die::DieKey;
-use crate::document::FeatureId;
-use crate::origin::{HeadId, Origin};
+use crate::document::{FeatureId, LastExposure};
+use crate::origin::{HeadId, Origin, OriginKind};
 use crate::seal::StandingNoGo;
 
 /// A stored check.
@@ -57,6 +57,19 @@ pub struct FlankRow {
     pub verdict: Word,
     /// Class of the reason, if indeterminate.
     pub code: Option<Code>,
+}
+
+/// The newest checks of a tool.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LastChecks {
+    /// Die of the newest check that is not a recording; of the newest recording if there is no other.
+    pub die: DieKey,
+    /// The newest check of the press or the bench.
+    pub check: Option<Check>,
+    /// When the last exposure of that check ended, if its document says so.
+    pub exposure: Option<LastExposure>,
+    /// The newest recording, if it was stored after that check.
+    pub recording: Option<Check>,
 }
 
 /// A person's acknowledgement of a verdict.
@@ -126,6 +139,98 @@ impl History {
             |row| row.get(0),
         )?;
         ids.into_iter().map(|id| self.check(id)).collect()
+    }
+
+    /// The newest checks of every tool: the tools that the press or the bench checked last come first, tools with recordings alone last.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn last_checks(&self) -> Result<Vec<LastChecks>, HistoryError> {
+        let mut all = Vec::new();
+        for tool in self.tools()? {
+            all.push(self.last_checks_of_tool(&tool)?);
+        }
+        all.sort_by_key(|last| std::cmp::Reverse(last.check.as_ref().map(|check| check.id)));
+        Ok(all)
+    }
+
+    fn last_checks_of_tool(&self, tool: &str) -> Result<LastChecks, HistoryError> {
+        let (mut found, mut recording, mut before) = (None, None, None);
+        while let Some(check) = self.listed(Some(tool), None, before, 1)?.pop() {
+            before = Some(check.id);
+            if check.origin.kind() == OriginKind::Recording {
+                recording.get_or_insert(check);
+            } else {
+                found = Some(check);
+                break;
+            }
+        }
+        let newest = found.as_ref().or(recording.as_ref());
+        let die = DieKey {
+            tool: tool.to_owned(),
+            geometry: newest.map_or(Ok(String::new()), |check| self.geometry(check.id))?,
+            serial: newest.and_then(|check| check.serial.clone()),
+        };
+        let exposure = match &found {
+            Some(check) => self.last_exposure(check.id)?,
+            None => None,
+        };
+        Ok(LastChecks {
+            die,
+            check: found,
+            exposure,
+            recording,
+        })
+    }
+
+    fn geometry(&self, id: i64) -> Result<String, HistoryError> {
+        let sql = "SELECT geometry FROM inspection WHERE id = ?1";
+        self.connection
+            .query_row(sql, [id], |row| row.get(0))
+            .map_err(self.because("read a check"))
+    }
+
+    /// When the last exposure of a check ended, if its document says so.
+    fn last_exposure(&self, id: i64) -> Result<Option<LastExposure>, HistoryError> {
+        #[derive(serde::Deserialize)]
+        struct Exposed {
+            last_exposure: Option<LastExposure>,
+        }
+        let document = self.document(id)?;
+        let read = serde_json::from_str::<Exposed>(&document);
+        let read = read.map_err(|source| HistoryError::Stored { id, source })?;
+        Ok(read.last_exposure)
+    }
+
+    /// Date of the newest row, by the clock of the computer that stored it; `None` while there is none.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn newest_date(&self) -> Result<Option<String>, HistoryError> {
+        let newest = |table: &str| {
+            format!("SELECT at FROM (SELECT at FROM {table} ORDER BY id DESC LIMIT 1)")
+        };
+        let tables = ["inspection", "acknowledgement", "audit"].map(newest);
+        let sql = format!("SELECT max(at) FROM ({})", tables.join(" UNION ALL "));
+        self.connection
+            .query_row(&sql, [], |row| row.get(0))
+            .map_err(self.because("read its dates"))
+    }
+
+    /// Number of the newest check of a die; 0 before the first.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn newest_check(&self, die: &DieKey) -> Result<i64, HistoryError> {
+        let sql = format!(
+            "SELECT coalesce(max(id), 0) FROM inspection WHERE {}",
+            same_as_asked("inspection")
+        );
+        self.connection
+            .query_row(&sql, params![die.tool, die.geometry, die.serial], |row| {
+                row.get(0)
+            })
+            .map_err(self.because("read its checks"))
     }
 
     /// Every check of a tool, in order.

@@ -18,10 +18,13 @@ use crate::beside::beside;
 use crate::die::DieKey;
 use crate::document::Inspection;
 use crate::origin::Origin;
-use crate::seal::Seals;
+use crate::seal::{Seals, StandingNoGo};
 
 /// How long a writer waits for another one. Readers neither wait nor block a writer.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Name of the operation that stores an acknowledgement, for messages.
+const ACKNOWLEDGING: &str = "note the acknowledgement";
 
 /// A history: one writer and any number of readers at a time.
 #[derive(Debug)]
@@ -473,34 +476,64 @@ impl History {
         })
     }
 
-    /// Stores who acknowledged the displayed verdict.
+    /// Stores who acknowledged the verdicts of a die up to check `seen`, the newest one that this person saw. Later checks stay
+    /// open. Whether a newer no-go stands is determined in the transaction that stores the entry.
     ///
     /// # Errors
-    /// As [`History::record`]; without a stored entry, nothing is acknowledged.
-    pub fn acknowledge(&mut self, die: &DieKey, who: &str) -> Result<(), HistoryError> {
-        let doing = "note the acknowledgement";
-        self.write(doing, |history| {
-            let last = format!(
-                "SELECT max(id) FROM inspection WHERE {}",
-                same_as_asked("inspection")
-            );
-            let shown: Value = history
-                .connection
-                .query_row(&last, params![die.tool, die.geometry, die.serial], |row| {
-                    row.get(0)
-                })
-                .map_err(history.because(doing))?;
-            let values = vec![
-                ("id", history.next_id("acknowledgement")?.into()),
-                ("at", history.now()?),
-                ("tool", die.tool.clone().into()),
-                ("who", who.to_owned().into()),
-                ("inspection", shown),
-                ("geometry", die.geometry.clone().into()),
-                ("serial", die.serial.clone().into()),
-            ];
-            history.add_linked("acknowledgement", values, &[])
+    /// [`HistoryError::NewerNoGo`] if there is an unacknowledged no-go after `seen`; else as [`History::record`]. Without a stored
+    /// entry, nothing is acknowledged.
+    pub fn acknowledge(&mut self, die: &DieKey, seen: i64, who: &str) -> Result<(), HistoryError> {
+        self.write(ACKNOWLEDGING, |history| {
+            history.note_acknowledgement(die, seen, who)
         })
+    }
+
+    /// Stores who acknowledged the no-go of a check, which must stand and be the newest of its die; with `tool`, its check must be
+    /// of that tool.
+    ///
+    /// # Errors
+    /// [`HistoryError::NotStanding`] if no such no-go stands when the entry is stored; else as [`History::acknowledge`].
+    pub fn acknowledge_no_go(
+        &mut self,
+        check: i64,
+        tool: Option<&str>,
+        who: &str,
+    ) -> Result<(), HistoryError> {
+        self.write(ACKNOWLEDGING, |history| {
+            let is_meant = |no_go: &StandingNoGo| {
+                no_go.check == check && tool.is_none_or(|tool| tool == no_go.die.tool)
+            };
+            let found = history.standing_no_gos()?.into_iter().find(is_meant);
+            let no_go = found.ok_or_else(|| HistoryError::NotStanding {
+                path: history.path.clone(),
+                check,
+            })?;
+            history.note_acknowledgement(&no_go.die, check, who)
+        })
+    }
+
+    fn note_acknowledgement(&self, die: &DieKey, seen: i64, who: &str) -> Result<(), HistoryError> {
+        let mut newer = self.standing_no_gos()?;
+        newer.retain(|no_go| no_go.check > seen && no_go.die.is_same(die));
+        if let Some(newest) = newer.into_iter().next() {
+            return Err(HistoryError::NewerNoGo {
+                path: self.path.clone(),
+                seen,
+                newest: Box::new(newest),
+            });
+        }
+        // An entry refers to a check that exists; before the first check there is none.
+        let seen = (seen > 0).then_some(seen);
+        let values = vec![
+            ("id", self.next_id("acknowledgement")?.into()),
+            ("at", self.now()?),
+            ("tool", die.tool.clone().into()),
+            ("who", who.to_owned().into()),
+            ("inspection", seen.into()),
+            ("geometry", die.geometry.clone().into()),
+            ("serial", die.serial.clone().into()),
+        ];
+        self.add_linked("acknowledgement", values, &[])
     }
 
     /// Adds an entry to the audit log.

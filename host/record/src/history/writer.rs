@@ -93,19 +93,30 @@ impl HistoryWriter {
         Ok(id)
     }
 
-    /// Stores an acknowledgement, in the operator's name if no other is given.
-    pub fn acknowledge(&mut self, die: &DieKey, name: &str) -> Result<(), HistoryError> {
+    /// Stores an acknowledgement of the checks up to `seen`, in the operator's name if no other is given.
+    ///
+    /// # Errors
+    /// As [`History::acknowledge`].
+    pub fn acknowledge(&mut self, die: &DieKey, seen: i64, name: &str) -> Result<(), HistoryError> {
         let who = if name.is_empty() {
             self.operator.clone()
         } else {
             name.to_owned()
         };
-        self.history.acknowledge(die, &who)
+        self.history.acknowledge(die, seen, &who)
     }
 
     /// Verdicts that were still unacknowledged when the instrument was last switched off.
     pub fn latch(&self, die: &DieKey) -> Result<Latch, HistoryError> {
         Ok(Latch::resumed(&self.history.open_verdicts(die)?))
+    }
+
+    /// Number of the newest check of a die; 0 before the first.
+    ///
+    /// # Errors
+    /// The history cannot be read.
+    pub fn newest_check(&self, die: &DieKey) -> Result<i64, HistoryError> {
+        self.history.newest_check(die)
     }
 
     /// Number of acknowledgements of a die, by this process or another one.

@@ -59,6 +59,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
             recording: None,
         },
         date: "2026-01-31T12:00:00Z".into(),
+        last_exposure: None,
         verdict,
         reason: reason.into(),
         features: [12, 40, 68]
