@@ -22,10 +22,10 @@ use flankscope_record::seal::{Kind, SealError, Seals};
 
 use crate::bench_link::{Bench, BenchSetup, demo_tool, fits_real_press, fits_recording};
 use crate::camera_process::CameraProcess;
+use crate::interrupt::DeferredExit;
 use crate::output::say;
 use crate::scene::Scene;
 use crate::site::{Place, Site, station_file, user_name};
-use crate::interrupt::DeferredExit;
 use crate::{help, interrupt};
 
 /// Which tool is looked at through which controller.

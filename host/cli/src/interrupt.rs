@@ -1,7 +1,7 @@
 //! Ctrl-C and SIGTERM. The first signal retracts the head and keeps the measurements; the second ends the program at once.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use anyhow::Context;

@@ -296,6 +296,7 @@ impl Job<ViewOutcome> {
         let frames = frames
             .filter_map(|(view, picture)| Some((names.get(view)?.clone(), picture)))
             .collect();
+        let last_exposure = last_exposure(&run, &self.setting.link);
         let recipe = recipe(&self.subject, &self.plan);
         let mut hashes = self.subject.hashes.clone();
         hashes.insert("recipe", recipe.hash());
@@ -314,7 +315,7 @@ impl Job<ViewOutcome> {
             registration: found.registration,
             origin: self.subject.origin(&self.setting),
             date: date::now(),
-            last_exposure: last_exposure(&run, &self.setting.link),
+            last_exposure,
             tool: self.subject.tool.name.clone(),
             die: self.subject.die(),
             temperature_degc: self.subject.temperature_degc,

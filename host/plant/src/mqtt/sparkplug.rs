@@ -203,10 +203,10 @@ impl Node {
     pub fn changes(&mut self, station: &StationStatement, now: Timestamp) -> Vec<Message> {
         let is_served = |tool: &str| station.dies.iter().any(|die| die.last.tool == tool);
         let born = std::mem::take(&mut self.born).into_iter();
-        let (live, dead): (BTreeMap<_, _>, BTreeMap<_, _>) =
+        let (served, gone): (BTreeMap<_, _>, BTreeMap<_, _>) =
             born.partition(|(tool, _)| is_served(tool));
-        self.born = live;
-        let deaths = dead
+        self.born = served;
+        let deaths = gone
             .keys()
             .map(|tool| self.data("DDEATH", Some(tool), Vec::new(), now));
         let mut messages: Vec<Message> = deaths.collect();
