@@ -85,8 +85,8 @@ fn store() -> &'static Path {
     STORE.get_or_init(|| {
         let program = PathBuf::from(flankscope().get_program());
         let all = program.with_file_name("fixtures");
-        let own = all.join(hash(&program));
-        if !own.exists() {
+        let current = all.join(hash(&program));
+        if !current.exists() {
             for entry in std::fs::read_dir(&all).into_iter().flatten().flatten() {
                 let modified = entry.metadata().and_then(|data| data.modified()).ok();
                 if modified.is_some_and(|at| at.elapsed().is_ok_and(|age| age > KEPT)) {
@@ -94,9 +94,9 @@ fn store() -> &'static Path {
                 }
             }
         }
-        let made = std::fs::create_dir_all(&own);
-        assert!(made.is_ok(), "fixtures in {}: {made:?}", own.display());
-        own
+        let made = std::fs::create_dir_all(&current);
+        assert!(made.is_ok(), "fixtures in {}: {made:?}", current.display());
+        current
     })
 }
 

@@ -202,7 +202,7 @@ pub fn with_small_head<'a>(command: &'a mut Command, arguments: &[&str]) -> &'a 
     let names = |options: &[&str]| options.iter().any(|option| arguments.contains(option));
     if !names(&["--tool", "--head"]) {
         command.args(["--tool", small_tool()]);
-        // A recording is no link.
+        // A recording needs no link.
         if !names(&["--link", "--frames", "--clouds"]) {
             command.args(["--link", "sim"]);
         }
@@ -228,7 +228,7 @@ pub fn inspect(arguments: &[&str]) -> Run {
     run(&mut command)
 }
 
-/// As [`inspect`], before the built-in demo's head of 100 000 cores: for what only its optics can show.
+/// Runs [`inspect`] before the built-in demo's head of 100 000 cores: for what only its optics can show.
 ///
 /// # Panics
 /// As [`inspect`].
@@ -254,7 +254,7 @@ pub fn inspect_on(lines: &str, arguments: &[&str]) -> Run {
     inspect(&[&[&*option, &*file], arguments].concat())
 }
 
-/// As [`inspect_on`], before the built-in demo's head.
+/// Runs [`inspect_on`] before the built-in demo's head.
 ///
 /// # Panics
 /// As [`inspect_on`].

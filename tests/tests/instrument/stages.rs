@@ -16,7 +16,7 @@ fn at(station: &str, args: &[&str]) -> Run {
     inspect(&[&at, args].concat())
 }
 
-/// As [`at`], by the built-in demo's head: stages that state less leave the pose to the neighbours, which only it shows.
+/// Runs [`at`] by the built-in demo's head: stages that state less leave the pose to the neighbours, which only it shows.
 fn full_at(station: &str, args: &[&str]) -> Run {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("station.toml");

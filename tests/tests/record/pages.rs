@@ -288,7 +288,7 @@ fn a_scan_is_read_on_a_phone_and_printed_on_two_sheets() {
     let report = folder.path().to_str().unwrap();
     scan.args(["scan", "--views", "12x2", "--speed", "max", "--quiet"]);
     with_small_head(&mut scan, &["--report", report]);
-    // Of teeth that the small head shows one by one no view is held by a neighbour.
+    // The small head shows teeth one by one, so that no view is held by a neighbour.
     assert_eq!(run(&mut scan).code, 2);
     let page = folder.path().join("report.html");
     stands_alone(&page);

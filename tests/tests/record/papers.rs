@@ -172,7 +172,7 @@ fn a_scan_is_judged_without_its_papers() {
     with_small_head(scan.arg("scan"), &["--views", "12x1", "--speed", "max"]);
     scan.args(["--json", "/dev/full", "--mesh", "/dev/full"]);
     let (code, stdout, stderr) = output(&mut scan);
-    // Of teeth that the small head shows one by one no view is held by a neighbour.
+    // The small head shows teeth one by one, so that no view is held by a neighbour.
     assert_eq!(code, Some(2), "{stderr}");
     assert!(
         stdout.contains("INDETERMINATE: ") && stdout.contains("12 of 84 teeth at 1 height"),

@@ -14,7 +14,7 @@ fn scan(args: &[&str]) -> Run {
     run(with_small_head(flankscope().args(common), args))
 }
 
-/// As [`scan`], by the built-in demo's head: only a field that shows three teeth tells the form of a die to some micrometres.
+/// Runs [`scan`] by the built-in demo's head: only a field that shows three teeth tells the form of a die to some micrometres.
 fn scan_full(args: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
     run(flankscope().args(common).args(args))

@@ -20,7 +20,7 @@ const TIMES: &str = "test-times.json";
 /// The program that tests from end to end start, freshly built (`flankscope_tests::flankscope`).
 const PROGRAM: &str = "FLANKSCOPE_PROGRAM";
 
-/// How often the programs that still run are named.
+/// Interval between two lines of progress.
 const NEWS: Duration = Duration::from_secs(30);
 
 /// Runs by itself, after the others: an emulator in real time, whose watchdog bites where the host does not let it run.
@@ -162,7 +162,7 @@ impl Progress {
         }
     }
 
-    /// What has passed, what runs, and how long the rest takes if it takes what it took in the last run.
+    /// Line of progress: programs that passed and that run, and an estimate of the rest by the last run's times.
     fn news(&self) -> String {
         let now = Instant::now();
         let running: Vec<String> = self
@@ -170,8 +170,8 @@ impl Progress {
             .iter()
             .map(|(name, begun)| format!("{name} ({} s)", (now - *begun).as_secs()))
             .collect();
-        let known = |name: &String| self.last.get(name).copied();
-        let done_s: f64 = self.times.keys().filter_map(known).sum();
+        let last_s = |name: &String| self.last.get(name).copied();
+        let done_s: f64 = self.times.keys().filter_map(last_s).sum();
         let all_s: f64 = self.last.values().sum();
         let elapsed_s = self.begun.elapsed().as_secs_f64();
         let left = match done_s > 0.0 {

@@ -54,7 +54,7 @@ use views::{Board, CheckPage, List};
 const LISTED: u32 = 50;
 /// Largest body of a request, bytes: a token, or a reason.
 const MOST_BODY: usize = 4096;
-/// How often a page hears that its connection stands, and asks for the board anew.
+/// Interval at which a page hears that its connection stands, and asks for the board anew.
 const TICK: Duration = Duration::from_secs(5);
 
 /// What the routes share.

@@ -34,7 +34,7 @@ pub use age::{Doubt, Moment, Tracker};
 /// Time after which a look at the history no longer proves what it showed.
 const LOOK_LIFE: Duration = Duration::from_secs(30);
 
-/// What the history says, read at one moment.
+/// Content of the history, read at one moment.
 #[derive(Clone, Debug, Default)]
 pub struct Facts {
     /// Newest checks of every tool and its checks by verdict; tools that the press or the bench checked last come first.
@@ -69,12 +69,12 @@ struct SeenDie {
     counts: Vec<(Word, u64)>,
 }
 
-/// What may be said of a station at one moment.
+/// Statement about a station at one moment.
 #[derive(Clone, Debug)]
 pub struct StationStatement {
     /// Why the history cannot be read or believed: then nothing is said of any die.
     pub fault: Option<Arc<str>>,
-    /// What stands for the station as a whole: no-go while a no-go of any die is not acknowledged, else the verdict of the die that
+    /// Verdict of the station as a whole: no-go while a no-go of any die is not acknowledged, else the verdict of the die that
     /// was checked last.
     pub verdict: Option<Word>,
     /// No-gos of all dies that are not acknowledged, the newest first; those known last while the history cannot be read.
@@ -85,7 +85,7 @@ pub struct StationStatement {
     pub stale_after: Duration,
 }
 
-/// What may be said of one die.
+/// Statement about one die.
 #[derive(Clone, Debug)]
 pub struct DieStatement {
     /// The verdict that stands: a no-go however old it is, and while one is latched; another one only while it counts.
@@ -94,7 +94,7 @@ pub struct DieStatement {
     pub worth: Worth,
     /// The last check of the press or the bench; the last recording if there is no other, which never counts.
     pub last: Arc<Check>,
-    /// What that check was made on.
+    /// Origin of that check.
     pub origin: OriginKind,
     /// When its last exposure ended, by the wall clock.
     pub exposed_at: Option<Timestamp>,
@@ -144,7 +144,7 @@ impl Standing {
         }
     }
 
-    /// The same station after a look that succeeded.
+    /// State of the station after the history was read.
     pub fn with_facts(&self, facts: &Facts, tracker: &mut Tracker, now: &Moment) -> Self {
         let sights = tracker.see(facts, now);
         let dies = facts.tools.iter().zip(sights);
@@ -173,7 +173,7 @@ impl Standing {
         standing
     }
 
-    /// The same station while the history cannot be read. What is latched stays; `remembered` are the no-gos that the station's
+    /// State of the station while the history cannot be read. What is latched stays; `remembered` are the no-gos that the station's
     /// memory knows, for a process that has not read the history yet.
     pub fn with_fault(&self, fault: &str, remembered: &[StandingNoGo]) -> Self {
         let mut open_no_gos = self.open_no_gos.clone();
@@ -200,7 +200,7 @@ impl Standing {
         self.fault.as_ref()
     }
 
-    /// What may be said at this moment.
+    /// Statement at this moment.
     pub fn statement(&self, now: &Moment) -> StationStatement {
         let fault = self.fault.clone().or_else(|| self.unlooked(now));
         let dies = match fault {

@@ -106,7 +106,7 @@ impl Scene {
         }
     }
 
-    /// What stands after a look at this moment, as [`crate::follow`] does it.
+    /// Statement after a look at this moment, as [`crate::follow`] does it.
     pub fn look(&mut self, now: &Moment) -> Standing {
         self.tracker.clock_went_back(now);
         self.standing = self
@@ -200,7 +200,7 @@ fn a_no_go_that_was_known_stays_while_the_history_is_gone() {
     );
 }
 
-/// What can happen between two looks.
+/// Event between two looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Incident {
     Go,
