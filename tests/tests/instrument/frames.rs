@@ -3,9 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_test_requisites::{at_least, shared};
-use flankscope_tests::{
-    Run, bench, flankscope, inspect, run, tool_of_noise_alone, with_small_head,
-};
+use flankscope_tests::{Run, bench, flankscope, inspect, run, small_tool, tool_of_noise_alone};
 use serde_json::Value;
 
 /// What the outside renderer's head is off the place that its file says, µm.
@@ -13,9 +11,13 @@ const HEAD_OFF_UM: [f64; 2] = [35.0, -20.0];
 
 fn check(folder: &Path, arguments: &[&str]) -> Run {
     let mut command = flankscope();
-    command.args(["inspect", "--quiet", "--json", "-"]);
-    let recorded = [&["--frames", folder.to_str().unwrap()], arguments].concat();
-    run(with_small_head(&mut command, &recorded))
+    command.args(["inspect", "--quiet", "--json", "-", "--frames"]);
+    run(command.arg(folder).args(arguments))
+}
+
+/// A check of frames that the small head recorded.
+fn check_small(folder: &Path, arguments: &[&str]) -> Run {
+    check(folder, &[&["--tool", small_tool()], arguments].concat())
 }
 
 /// An index in a folder of its own, for images that lie where nothing can be written.
@@ -226,7 +228,7 @@ fn a_live_check_that_was_recorded_is_the_same_to_the_last_bit() {
         50 * 640 * 480 * 2,
         "frames leave the shared memory when they are asked for, and are counted"
     );
-    let again = check(&folder.path().join("frames"), &[]);
+    let again = check_small(&folder.path().join("frames"), &[]);
     assert_eq!(again.code, 1, "{}", again.stderr);
     assert_eq!(measured(&again), measured(&live));
     assert_eq!(again.json["frames"]["bytes_copied"], 0);
@@ -237,7 +239,7 @@ fn a_live_check_that_was_recorded_is_the_same_to_the_last_bit() {
         "the triggers are recorded, too: {apart} ms"
     );
     // One of the two alone is judged as it was.
-    let one = check(&folder.path().join("frames"), &["--teeth", "12"]);
+    let one = check_small(&folder.path().join("frames"), &["--teeth", "12"]);
     assert_eq!(one.code, 0, "{}", one.stderr);
     assert_eq!(one.json["features"].as_array().unwrap().len(), 2);
     assert_eq!(
@@ -342,7 +344,7 @@ impl Copied {
 
     #[track_caller]
     fn is(&self, code: i32, words: &[&str]) {
-        let run = check(self.folder.path(), &[]);
+        let run = check_small(self.folder.path(), &[]);
         let said = format!("{} {}", run.json["reason"], run.stderr);
         assert_eq!(run.code, code, "{said}");
         for word in words {
@@ -500,7 +502,7 @@ fn exposures_of_two_scenes_are_named_and_never_go() {
         let second = view.replace("capture-0001", "capture-0002");
         format!("{before}[[view]]{view}\n[[view]]{second}")
     });
-    let run = check(again.folder.path(), &[]);
+    let run = check_small(again.folder.path(), &[]);
     assert_eq!(run.code, 0, "{} {}", run.json["reason"], run.stderr);
     assert_eq!(run.json["frames"]["received"], 50);
     let captures = run.json["evidence"][0]["phasors"].as_array().unwrap();

@@ -10,7 +10,7 @@ use flankscope_metrology::io::{Unit, cloud};
 use flankscope_profilometry::FrameKind;
 use flankscope_profilometry::io::images::load_grey;
 use flankscope_test_requisites::dear;
-use flankscope_tests::{Run, demo_gear, flankscope, run, with_small_head};
+use flankscope_tests::{Run, demo_gear, flankscope, run};
 use serde_json::Value;
 
 type Rows = [[f64; 4]; 4];
@@ -23,7 +23,7 @@ fn article(args: &[&str]) -> Run {
 
 fn scan(args: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
-    run(with_small_head(flankscope().args(common), args))
+    run(flankscope().args(common).args(args))
 }
 
 /// The points of a view as the session keeps them: x, y, z in the camera's frame, mm, and how much the fringes oscillate.

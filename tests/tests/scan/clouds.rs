@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use flankscope_test_requisites::dear;
-use flankscope_tests::{Run, flankscope, run, with_small_head};
+use flankscope_tests::{Run, flankscope, run};
 use serde_json::Value;
 
 fn scan(args: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
-    run(with_small_head(flankscope().args(common), args))
+    run(flankscope().args(common).args(args))
 }
 
 fn number(value: &Value) -> f64 {

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 
 use flankscope_gear_cad::{Meshing, write_ply};
-use flankscope_tests::{Run, demo_gear, flankscope, run, with_small_head};
+use flankscope_tests::{Run, demo_gear, flankscope, run};
 use serde_json::Value;
 
 const PITCH_RADIUS_MM: f64 = 41.45;
@@ -35,7 +35,7 @@ fn rolls_mm() -> [f64; 3] {
 /// A scan of every seventh tooth, read as a gear.
 fn scan(rest: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max", "--gear"];
-    run(with_small_head(flankscope().args(common), rest))
+    run(flankscope().args(common).args(rest))
 }
 
 fn number(of: &Value) -> f64 {

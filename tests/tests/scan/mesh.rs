@@ -7,7 +7,7 @@ use std::path::Path;
 use flankscope_gear_cad::{Meshing, write_ply};
 use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::mesh;
-use flankscope_tests::{bench, demo_gear, flankscope, run, with_small_head};
+use flankscope_tests::{bench, demo_gear, flankscope, run};
 
 const OVALITY_UM: f64 = 20.0;
 const SPACING_MM: f64 = 0.1;
@@ -24,11 +24,8 @@ fn a_mesh_has_the_spacing_that_was_asked_for_no_cracks_and_the_true_surface_with
     let mesh = ["--mesh", path.to_str().unwrap(), "--mesh-mm", "0.1"];
     let oval = bench("[die]\novality_um = 20.0\n");
     let mut scan = flankscope();
-    with_small_head(
-        scan.args(args).args(mesh).args(oval),
-        &["--views", "12x1", "--gear"],
-    );
-    let scanned = run(&mut scan);
+    scan.args(args).args(["--views", "12x1", "--gear"]);
+    let scanned = run(scan.args(mesh).args(oval));
     let mesh = mesh::load(&path, Unit::Mm);
     let mesh = mesh.unwrap_or_else(|error| panic!("{error}: {}", scanned.stderr));
     let mut edges: BTreeMap<(u32, u32), usize> = BTreeMap::new();
