@@ -71,7 +71,8 @@ fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
     let wear_um = f64::from(registers[8] as i16) / 10.0;
     let u95_um = f64::from(registers[9]) / 10.0;
     assert!(
-        (wear_um - 80.0).abs() < 10.0 && (0.1..10.0).contains(&u95_um),
+        // The small head, which sees no neighbour, states an even wear of 80 µm with 20 to 26 µm.
+        (wear_um - 80.0).abs() < 10.0 && (0.1..30.0).contains(&u95_um),
         "{registers:?}"
     );
 
