@@ -30,6 +30,8 @@ mod demo_line;
 mod encryption;
 mod export;
 mod follow;
+#[cfg(test)]
+mod freshness_model;
 mod history;
 mod listener;
 mod live;

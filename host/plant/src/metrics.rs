@@ -190,3 +190,55 @@ pub fn text(station: &StationStatement, live: Option<&LiveState>) -> Result<Stri
     encode(&mut text, &registry)?;
     Ok(text)
 }
+
+#[cfg(test)]
+mod tests {
+    use flankscope_metrology::verdict::Word;
+
+    use crate::freshness_model::{Scene, check, moment, moment_of, no_go};
+    use crate::statement::{Moment, Standing};
+
+    #[test]
+    fn a_metrics_text_says_what_stands_beside_the_last_check() {
+        let mut scene = Scene::new(60);
+        scene.facts.tools = vec![(check(1, "die", Word::Go, &moment(100)), Vec::new())];
+        let text = |standing: &Standing, now: &Moment| {
+            super::text(&standing.statement(now), None).unwrap()
+        };
+        let line = |name: &str, value: &str| {
+            format!("flankscope_{name}{{tool=\"die\",station=\"press 7\",verdict=\"go\"}} {value}")
+        };
+        let standing = scene.look(&moment(110));
+        let fresh = text(&standing, &moment(110));
+        assert!(fresh.contains(&line("verdict_stands", "1.0")), "{fresh}");
+        assert!(
+            fresh.contains(
+                "flankscope_last_check_age_seconds{tool=\"die\",station=\"press 7\"} 10.0"
+            )
+        );
+        // Too old.
+        scene.look(&moment(160));
+        let stale = text(&standing, &moment(161));
+        assert!(stale.contains(&line("verdict_stands", "0.0")), "{stale}");
+        assert!(stale.contains(&line("verdict", "1.0")));
+        // Latched.
+        scene.facts.open_no_gos = vec![no_go("die", 1)];
+        let latched = text(&scene.look(&moment(110)), &moment(110));
+        assert!(
+            latched.contains(&line("verdict_stands", "0.0")),
+            "{latched}"
+        );
+        assert!(
+            latched
+                .contains("verdict_stands{tool=\"die\",station=\"press 7\",verdict=\"no-go\"} 1.0")
+        );
+        assert!(latched.contains("flankscope_no_gos_open 1.0"));
+        // The clock went back.
+        let now = moment_of(120, 50, 1);
+        let doubtful = text(&scene.look(&now), &now);
+        assert!(
+            doubtful.contains("reason=\"clock_set_back\"} 1.0"),
+            "{doubtful}"
+        );
+    }
+}

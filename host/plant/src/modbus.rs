@@ -150,7 +150,7 @@ pub fn words(station: &StationStatement, life: u16) -> [u16; REGISTERS] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::statement::model::{Scene, check, moment, no_go};
+    use crate::freshness_model::{Scene, check, moment, no_go};
 
     #[test]
     fn go_is_said_only_of_a_fresh_go_that_nothing_stands_against() {

@@ -1,9 +1,7 @@
 //! Errors that neither calibration nor joint solve has a parameter for: a worn flank must not pass because of them.
 
 use flankscope_test_requisites::at_least;
-use flankscope_tests::{
-    bench, flankscope, inspect_full, inspect_full_on, inspect_on, run, with_small_head,
-};
+use flankscope_tests::{bench, flankscope, inspect_full, inspect_full_on, inspect_on, run};
 
 /// Upper half of a flank, beyond the limit of 50 µm: part of the judged discs lies within it as a whole.
 const WORN: &str = "40:left:80:half";
@@ -82,7 +80,7 @@ fn no_form_of_the_bore_lets_a_worn_flank_pass() {
     }
     let mut scan = flankscope();
     scan.args(["scan", "--speed", "max", "--quiet", "--json", "-"]);
-    with_small_head(&mut scan, &["--views", "12x1", "--seed", "5"]);
+    scan.args(["--views", "12x1", "--seed", "5"]);
     scan.args(bench(
         "[die]\nthree_lobe_um = 40.0\nbarrel_um = 20.0\nbell_mouth_um = 60.0\n[stages]\nencoder_saw = \"12:20\"\n",
     ));

@@ -218,8 +218,8 @@ fn text(message: &impl Serialize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::freshness_model::{Scene, check, moment, no_go};
     use crate::statement::Standing;
-    use crate::statement::model::{Scene, check, moment, no_go};
 
     /// Topics below the station's with their payloads, in order.
     fn sent(json: &mut Json, standing: &Standing, now_s: i64) -> Vec<(String, serde_json::Value)> {

@@ -15,8 +15,6 @@
 //! | `model` | tests: every short sequence of events against what may be said |
 
 mod age;
-#[cfg(test)]
-pub mod model;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -12,7 +12,7 @@ use flankscope_record::origin::{HeadId, Origin};
 use flankscope_record::seal::StandingNoGo;
 use jiff::Timestamp;
 
-use super::{Doubt, Facts, Moment, Standing, StationStatement, Tracker, Worth};
+use crate::statement::{Doubt, Facts, Moment, Standing, StationStatement, Tracker, Worth};
 
 /// Seconds since 1970 at which the wall clock of these tests is 0 s.
 const EPOCH_S: i64 = 1_770_000_000;
@@ -23,7 +23,7 @@ pub fn moment(s: i64) -> Moment {
 }
 
 /// A moment `true_s` after the first start of the computer, with the wall clock at `wall_s`, in this start of the computer.
-fn moment_of(true_s: i64, wall_s: i64, boot: u32) -> Moment {
+pub fn moment_of(true_s: i64, wall_s: i64, boot: u32) -> Moment {
     Moment {
         boot: BootTime {
             boot: format!("start {boot}"),
@@ -443,45 +443,4 @@ fn no_sequence_of_events_makes_an_outlet_say_good_of_what_is_not() {
     assert_eq!(tried, (1..=5).map(|n| 12_u64.pow(n)).sum::<u64>());
     // It is not silent either.
     assert!(good > tried / 20, "{good} of {tried}");
-}
-
-#[test]
-fn a_metrics_text_says_what_stands_beside_the_last_check() {
-    let mut scene = Scene::new(60);
-    scene.facts.tools = vec![(check(1, "die", Word::Go, &moment(100)), Vec::new())];
-    let text = |standing: &Standing, now: &Moment| {
-        crate::metrics::text(&standing.statement(now), None).unwrap()
-    };
-    let line = |name: &str, value: &str| {
-        format!("flankscope_{name}{{tool=\"die\",station=\"press 7\",verdict=\"go\"}} {value}")
-    };
-    let standing = scene.look(&moment(110));
-    let fresh = text(&standing, &moment(110));
-    assert!(fresh.contains(&line("verdict_stands", "1.0")), "{fresh}");
-    assert!(
-        fresh.contains("flankscope_last_check_age_seconds{tool=\"die\",station=\"press 7\"} 10.0")
-    );
-    // Too old.
-    scene.look(&moment(160));
-    let stale = text(&standing, &moment(161));
-    assert!(stale.contains(&line("verdict_stands", "0.0")), "{stale}");
-    assert!(stale.contains(&line("verdict", "1.0")));
-    // Latched.
-    scene.facts.open_no_gos = vec![no_go("die", 1)];
-    let latched = text(&scene.look(&moment(110)), &moment(110));
-    assert!(
-        latched.contains(&line("verdict_stands", "0.0")),
-        "{latched}"
-    );
-    assert!(
-        latched.contains("verdict_stands{tool=\"die\",station=\"press 7\",verdict=\"no-go\"} 1.0")
-    );
-    assert!(latched.contains("flankscope_no_gos_open 1.0"));
-    // The clock went back.
-    let now = moment_of(120, 50, 1);
-    let doubtful = text(&scene.look(&now), &now);
-    assert!(
-        doubtful.contains("reason=\"clock_set_back\"} 1.0"),
-        "{doubtful}"
-    );
 }
