@@ -4,7 +4,7 @@ pub mod die;
 mod fixture;
 
 use fixture::write_demo;
-pub use fixture::{fixture, small_target, small_tool, write_small_tool};
+pub use fixture::{small_target, small_tool, write_small_tool};
 
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
@@ -217,15 +217,7 @@ pub fn with_small_head<'a>(command: &'a mut Command, arguments: &[&str]) -> &'a 
 /// The command does not start or is killed.
 #[must_use]
 pub fn inspect(arguments: &[&str]) -> Run {
-    let mut command = flankscope();
-    with_small_head(
-        command.args(["inspect", "--quiet", "--json", "-"]),
-        arguments,
-    );
-    if !arguments.contains(&"--speed") {
-        command.args(["--speed", "max"]);
-    }
-    run(&mut command)
+    inspect_by(|command| with_small_head(command, arguments), arguments)
 }
 
 /// Runs [`inspect`] before the built-in demo's head of 100 000 cores: for what only its optics can show.
@@ -234,10 +226,13 @@ pub fn inspect(arguments: &[&str]) -> Run {
 /// As [`inspect`].
 #[must_use]
 pub fn inspect_full(arguments: &[&str]) -> Run {
+    inspect_by(|command| command.args(arguments), arguments)
+}
+
+/// Runs `inspect` with the arguments that `add` adds, at the bench's highest speed unless they name another.
+fn inspect_by(add: impl FnOnce(&mut Command) -> &mut Command, arguments: &[&str]) -> Run {
     let mut command = flankscope();
-    command
-        .args(["inspect", "--quiet", "--json", "-"])
-        .args(arguments);
+    add(command.args(["inspect", "--quiet", "--json", "-"]));
     if !arguments.contains(&"--speed") {
         command.args(["--speed", "max"]);
     }
