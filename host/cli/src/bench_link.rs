@@ -262,7 +262,7 @@ impl Bench {
                 }
             },
             setup: setup.clone(),
-            press_runs: scene.press_runs,
+            checks_every: scene.checks_every,
             by_hand: scene.by_hand,
             rotary_carries: match stages.moves {
                 Moves::Head => Carries::Head,

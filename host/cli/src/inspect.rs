@@ -135,7 +135,7 @@ impl Args {
     ) -> anyhow::Result<(Inspection, Instrument)> {
         let quiet = self.common.quiet;
         let (mut instrument, mut writer) =
-            Instrument::open(&self.source, site, bench, false, quiet)?;
+            Instrument::open(&self.source, site, bench, None, quiet)?;
         let mut saved = None;
         if let Some(folder) = &self.save_frames {
             saved = Some((folder, instrument.copy_head(folder)?));

@@ -170,11 +170,11 @@ impl Instrument {
         source: &Source,
         site: &Site,
         bench: &BenchSetup,
-        press_runs: bool,
+        checks_every: Option<u32>,
         quiet: bool,
     ) -> anyhow::Result<(Self, Option<HistoryWriter>)> {
         let scene = Scene {
-            press_runs,
+            checks_every,
             teeth: source.teeth.as_deref(),
             pictures: source.adaptive.as_deref(),
             ..Scene::default()

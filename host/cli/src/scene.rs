@@ -1,4 +1,4 @@
-//! The scene on the simulated bench: die or target, and whether the press runs.
+//! The scene on the simulated bench: die or target, and how often the press is checked.
 
 use std::path::Path;
 
@@ -9,8 +9,8 @@ use std::path::Path;
 )]
 #[derive(Clone, Copy, Default)]
 pub struct Scene<'a> {
-    /// The press strokes; else it stands open.
-    pub press_runs: bool,
+    /// The press strokes, and a check is made every so many strokes; `None`: it stands open.
+    pub checks_every: Option<u32>,
     /// The die is put there by hand, eccentric and tilted; else it stands exactly in place.
     pub by_hand: bool,
     /// A calibration target instead of a die.

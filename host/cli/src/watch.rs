@@ -75,7 +75,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let setting = &site.setting;
     let quiet = args.common.quiet;
-    let (mut instrument, mut writer) = Instrument::open(&args.source, &site, &bench, true, quiet)?;
+    let (mut instrument, mut writer) =
+        Instrument::open(&args.source, &site, &bench, Some(args.every), quiet)?;
     let settings = WatchSettings {
         every: args.every,
         cycles: args.cycles,

@@ -32,8 +32,8 @@ pub struct BenchConfig {
     pub controller: ControllerKind,
     /// Options and bench file.
     pub setup: BenchSetup,
-    /// Whether the press runs; otherwise it stays open.
-    pub press_runs: bool,
+    /// The press strokes, and a check is made every so many strokes; `None`: it stays open.
+    pub checks_every: Option<u32>,
     /// Whether the die is placed by hand, eccentric and tilted; otherwise it is placed exactly.
     pub by_hand: bool,
     /// What the rotary stage carries: die or head.
@@ -335,7 +335,7 @@ mod tests {
                 wear_rate: press.wear_rate,
                 ..die.setup().unwrap()
             },
-            press_runs: true,
+            checks_every: Some(5),
             by_hand: true,
             rotary_carries: Carries::Head,
             pictures: Some("pictures".into()),

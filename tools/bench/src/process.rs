@@ -20,6 +20,7 @@ use crate::arm::Arm;
 use crate::bench_file::{DieTable, EXAMPLE, SurfaceTable};
 use crate::camera::{self, Troubles};
 use crate::config::{BenchConfig, ControllerKind, Speed, Stands, SurfaceKind};
+use crate::devices::press::WaitForHead;
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::die_file;
 use crate::files::pictures;
@@ -32,6 +33,9 @@ use crate::world::{Form, MAX_SHIFT_PX, Mount, Saw, Wear, World, WorldConfig};
 
 /// Height of the retract switch above the die.
 const SWITCH_CLEARANCE_MM: f64 = 14.0;
+
+/// Longest real time for which a press that is faster than real time waits for a check that is due.
+const HOST_ANSWERS_WITHIN_S: f64 = 10.0;
 
 /// What the simulated bench does.
 #[derive(clap::Subcommand)]
@@ -339,9 +343,13 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     if let Some(trouble) = file.stages.trouble {
         trouble.spoil(&mut config.devices.axes);
     }
-    if asked.press_runs {
+    if let Some(every) = asked.checks_every {
         config.devices.press.strokes_per_minute = file.press.strokes_per_minute;
         config.devices.press.open_share = file.press.open_share;
+        config.devices.press.waits = (speed > 1.0).then(|| WaitForHead {
+            every,
+            patience_us: (HOST_ANSWERS_WITHIN_S * speed * 1e6) as u64,
+        });
     }
     if let Some(top_mm) = top_mm {
         // The switch is placed relative to the die, slightly below the retracted head.

@@ -4,6 +4,7 @@ mod common;
 
 use common::script::{Hands, Record, Setup};
 use common::{Host, plan, script};
+use flankscope_bench::devices::press::WaitForHead;
 use flankscope_bench::devices::{DeviceConfig, DeviceFault, PressModel};
 use flankscope_controller::sequence::Config;
 use flankscope_protocol::*;
@@ -344,4 +345,58 @@ fn a_verdict_is_shown_while_it_is_fresh() {
     assert_eq!(record.times("no_go", false), [on]);
     let beats = record.times("beat", true).len() + record.times("beat", false).len();
     assert_eq!(beats, 20);
+}
+
+/// A press that is faster than real time waits at the top for the check that is due, and goes on without it when none is ordered.
+#[test]
+fn a_press_that_waits_for_checks_waits_for_a_late_host_and_not_for_ever() {
+    const EVERY: usize = 3;
+    const PATIENCE_US: u64 = 60_000_000;
+    let press = PressModel {
+        waits: Some(WaitForHead {
+            every: EVERY as u32,
+            patience_us: PATIENCE_US,
+        }),
+        ..running()
+    };
+    let record = run(press, |mut host, _| async move {
+        host.prepare(plan()).await;
+        // A host that needs 20 s before it orders a check: ten strokes of a press that does not wait.
+        for _ in 0..2 {
+            host.keep_company(20_000).await;
+            assert_eq!(
+                host.order(Command::Start { session: 5 }).await,
+                Reply::Accepted
+            );
+            host.until(over).await;
+        }
+        // From here on none is ordered.
+        host.keep_company(2 * PATIENCE_US / 1000 + 30_000).await;
+        host
+    });
+    let strokes = record.times("cycle", true);
+    let left = record.times("retract_switch", false);
+    let before = |at_us: u64| strokes.iter().filter(|&&stroke| stroke < at_us).count();
+    // The first check comes after the first stroke, the next one after three more.
+    assert_eq!(left.len(), 2);
+    assert_eq!([before(left[0]), before(left[1])], [1, 1 + EVERY]);
+    // Afterwards three strokes at a time, with the patience between them.
+    let gaps = |of: &[u64]| {
+        of.windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect::<Vec<_>>()
+    };
+    let waits = |us: &&u64| **us >= PATIENCE_US;
+    let idle = gaps(&strokes[1 + EVERY..]);
+    assert_eq!(idle.iter().filter(waits).count(), 2, "{idle:?}");
+    assert_eq!(
+        idle.iter().position(|us| waits(&us)),
+        Some(EVERY - 1),
+        "{idle:?}"
+    );
+    assert_eq!(
+        idle.iter().rposition(|us| waits(&us)),
+        Some(2 * EVERY - 1),
+        "{idle:?}"
+    );
 }

@@ -111,14 +111,18 @@ pub fn shared(path: &str) -> Option<PathBuf> {
         .or_else(|| missed(&format!("{} (other people's data)", found.display())))
 }
 
-/// The image of a board, by its folder below `firmware`.
+/// The image of a board, by its folder below `firmware`; STM32 boards are built in one folder.
 ///
 /// # Panics
 /// It is missing although everything must run.
 #[must_use]
 pub fn board_image(board: &str) -> Option<PathBuf> {
     let name = format!("flankscope-{board}");
-    let folder = format!("firmware/{board}/target/thumbv7em-none-eabihf/release");
+    let built_in = match board {
+        "mps2-an386" => board,
+        _ => "stm32-board",
+    };
+    let folder = format!("firmware/{built_in}/target/thumbv7em-none-eabihf/release");
     let image = workspace().join(folder).join(&name);
     match image.is_file() {
         true => Some(image),

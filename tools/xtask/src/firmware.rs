@@ -26,7 +26,8 @@ pub const EMULATED_IMAGE: &str =
 const FAULT_INJECTION_IMAGE: &str = "flankscope-mps2-an386-fault-injection";
 /// The board's program on a chip that the emulator knows.
 const EMULATED_STM32: &str = "netduinoplus2-f405";
-pub const EMULATED_STM32_IMAGE: &str = "firmware/netduinoplus2-f405/target/thumbv7em-none-eabihf/release/flankscope-netduinoplus2-f405";
+pub const EMULATED_STM32_IMAGE: &str =
+    "firmware/stm32-board/target/thumbv7em-none-eabihf/release/flankscope-netduinoplus2-f405";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 /// `rust-version` of the images.
 const LEAST_MINOR: u32 = 95;
@@ -34,6 +35,8 @@ const LEAST_MINOR: u32 = 95;
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
 struct Board {
     folder: &'static str,
+    /// The folder below `firmware` whose `target` holds the image: boards of one family share it, as their `.cargo/config.toml` says.
+    built_in: &'static str,
     /// Its other image.
     also: Option<Variant>,
     /// Its hardware library has panicking paths of its own: they become traps.
@@ -51,6 +54,7 @@ struct Variant {
 static BOARDS: [Board; 3] = [
     Board {
         folder: "mps2-an386",
+        built_in: "mps2-an386",
         also: Some(Variant {
             feature: "fault-injection",
             name: FAULT_INJECTION_IMAGE,
@@ -60,6 +64,7 @@ static BOARDS: [Board; 3] = [
     },
     Board {
         folder: "nucleo-h743zi",
+        built_in: "stm32-board",
         also: Some(Variant {
             feature: "dlp5500",
             name: "flankscope-nucleo-h743zi-dlp5500",
@@ -69,6 +74,7 @@ static BOARDS: [Board; 3] = [
     },
     Board {
         folder: EMULATED_STM32,
+        built_in: "stm32-board",
         also: None,
         traps: true,
     },
@@ -317,7 +323,7 @@ fn new_enough(said: &str, update: &str) -> Result<(), String> {
 }
 
 fn image_path(root: &Path, board: &Board) -> PathBuf {
-    let target = root.join("firmware").join(board.folder).join("target");
+    let target = root.join("firmware").join(board.built_in).join("target");
     target
         .join(TARGET)
         .join("release")

@@ -26,6 +26,17 @@ pub struct PressModel {
     pub skew_us: u64,
     /// Height of the vertical stage from which the retract switch is closed, mm.
     pub switch_mm: f64,
+    /// Whether the ram waits at the top for the head when a check is due; a real press does not.
+    pub waits: Option<WaitForHead>,
+}
+
+/// A ram that waits for checks, so that a host in real time keeps up with a press that is faster than real time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WaitForHead {
+    /// Strokes from check to check; the first check is due after the first stroke.
+    pub every: u32,
+    /// The ram waits no longer than this for one check.
+    pub patience_us: u64,
 }
 
 impl Default for PressModel {
@@ -36,6 +47,7 @@ impl Default for PressModel {
             open_share: 0.4,
             skew_us: 5_000,
             switch_mm: 80.0,
+            waits: None,
         }
     }
 }
@@ -57,12 +69,28 @@ pub(super) async fn ram<S: ExposureSink>(board: Board, model: PressModel, sink: 
     let closed = Duration::from_micros(((1.0 - model.open_share) * cycle_us) as u64);
     let skew = Duration::from_micros(model.skew_us);
     let mut strokes = 0;
+    let mut strokes_to_check = 1;
     loop {
+        if let Some(WaitForHead { every, patience_us }) = model.waits
+            && strokes_to_check == 0
+        {
+            let head_in = select(
+                lines.head_clear_1.wait_for_low(),
+                lines.head_clear_2.wait_for_low(),
+            );
+            select(head_in, Timer::after_micros(patience_us)).await;
+            strokes_to_check = every;
+        }
         // Both channels are needed; otherwise the ram stays at the top.
         while !(lines.head_clear_1.level() && lines.head_clear_2.level()) {
             let Ok(()) = lines.head_clear_1.wait_for_high().await;
             let Ok(()) = lines.head_clear_2.wait_for_high().await;
+            // A check; before the first stroke the controller only was not ready yet.
+            if strokes > 0 {
+                strokes_to_check = model.waits.map_or(0, |waits| waits.every);
+            }
         }
+        strokes_to_check = strokes_to_check.saturating_sub(1);
         let top = Instant::now();
         strokes += 1;
         sink.borrow_mut().cycled(strokes);
