@@ -10,12 +10,14 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixListener;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::time::{Duration, Instant};
 
 use flankscope_foundation::clock::BootTime;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::{HeadDates, Inspection, LastExposure, LiveLine, LiveState};
 use flankscope_record::origin::Origin;
+use flankscope_tests::{flankscope, run};
 use press::{Press, inspection};
 use station::{Plant, Station};
 
@@ -139,6 +141,54 @@ fn a_no_go_is_acknowledged_only_by_the_number_of_the_newest_one() {
     assert_eq!(status(2), 303);
     assert_eq!(status(2), 409);
     registers_with(&plant, |bits| bits & LATCHED == 0);
+}
+
+#[test]
+fn acknowledgements_that_race_with_new_no_gos_clear_none_unseen() {
+    let station = Station::new(3600);
+    let mut press = Press::new(&station.history());
+    press.check_now("die", 40, Word::NoGo);
+    let plant = station.serve();
+    plant.board_with("name=\"check\" value=\"1\"");
+    let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
+    let newest = AtomicI64::new(1);
+    let is_over = AtomicBool::new(false);
+    let (mut accepted, mut refused) = (Vec::new(), 0);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(Ordering::Relaxed) {
+                press.check_now("die", 40, Word::NoGo);
+                newest.store(press.made, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_millis(3));
+            }
+        });
+        for _ in 0..200 {
+            let check = newest.load(Ordering::Relaxed);
+            let form = format!("check={check}&reason=insert+changed");
+            match plant.post("/acknowledge", &bearer, &form).status {
+                303 => accepted.push(check),
+                409 => refused += 1,
+                status => panic!("{status}"),
+            }
+        }
+        is_over.store(true, Ordering::Relaxed);
+    });
+    println!("{} accepted, {refused} refused", accepted.len());
+    assert!(!accepted.is_empty() && refused > 0);
+    // What was stored is what was sent, and a no-go above the last accepted number is open.
+    let history = run(flankscope()
+        .arg("history")
+        .arg(station.history())
+        .args(["--json", "-"]));
+    let stored = history.json["acknowledgements"].as_array().unwrap();
+    let stored: Vec<i64> = stored
+        .iter()
+        .filter_map(|row| row["inspection"].as_i64())
+        .collect();
+    assert_eq!(stored, accepted, "{history:?}");
+    if accepted.last() < Some(&press.made) {
+        registers_with(&plant, |bits| bits & (NO_GO | LATCHED) == NO_GO | LATCHED);
+    }
 }
 
 #[test]
