@@ -71,20 +71,6 @@ pub fn setup_with_press(die: &DieArgs, press: &WearRateArgs) -> anyhow::Result<B
     })
 }
 
-/// Speed up to which the simulated press stays open for as long as a watch needs to order a check: 20 ms at 30 strokes per minute.
-const MOST_WATCH_SPEED: f64 = 20.0;
-
-/// Why a watch misses checks at the bench's speed, if it does.
-pub fn press_outruns_watch(setup: &BenchSetup) -> Option<String> {
-    let Speed(speed) = setup.speed.value;
-    (speed > MOST_WATCH_SPEED).then(|| {
-        format!(
-            "--speed {speed} cannot be used for a watch: the simulated press closes before a check is ordered, and checks are missed; \
-             use at most {MOST_WATCH_SPEED}"
-        )
-    })
-}
-
 /// Seed of all random numbers.
 pub fn seed(setup: &BenchSetup) -> u64 {
     setup.seed

@@ -64,11 +64,6 @@ pub fn seed(_: &BenchSetup) -> u64 {
     1
 }
 
-/// A build without the bench has no simulated press.
-pub fn press_outruns_watch(_: &BenchSetup) -> Option<String> {
-    None
-}
-
 /// A build without the bench has no such options, so nothing is refused.
 pub fn fits_real_press(_: &BenchSetup, _: &Link) -> anyhow::Result<()> {
     Ok(())

@@ -15,7 +15,7 @@ use flankscope_record::sink::LinesFile;
 use flankscope_report::{Pages, ReportFolder, figure};
 use serde_json::{Value, json};
 
-use crate::bench_link::{DieArgs, WearRateArgs, press_outruns_watch, setup_with_press};
+use crate::bench_link::{DieArgs, WearRateArgs, setup_with_press};
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
@@ -97,9 +97,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     });
     if setting.link.is_simulated() {
         log.say(SIMULATED);
-        if let Some(why) = press_outruns_watch(&bench) {
-            log.say(&why);
-        }
     }
     let shown = instrument.job.watch(
         &instrument.port,
