@@ -1,5 +1,7 @@
 //! One side of all teeth worn and the other proud, without a datum: a turn of the view looks nearly the same. What is beyond
 //! the stop limit is neither go nor warn, what is beyond the warning limit is not go, against the CAD and since a baseline.
+//!
+//! They need the full head: the view of one tooth is refused whatever its sides are like.
 
 use flankscope_gear_cad::Flank;
 use flankscope_test_requisites::at_least;

@@ -1,5 +1,7 @@
 //! Damage of every shape through the whole instrument: what is beyond the limit is never passed, and the answer holds the truth
 //! within its uncertainty. The truth is the bench's, from exact distances by another library.
+//!
+//! They need the full head: its U95 is small beside the limits, the small head's reaches 20 µm where a flank is worn.
 
 use flankscope_test_requisites::at_least;
 use flankscope_tests::{Run, inspect_full};

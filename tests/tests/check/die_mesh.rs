@@ -83,6 +83,7 @@ fn a_worn_mesh_is_no_go_closed_open_and_inverted() {
     for (name, mesh, is_closed) in [("closed.ply", &closed, true), ("open.stl", &open, false)] {
         let path = folder.path().join(name);
         write(&path, mesh);
+        // The full head: the other three flanks are go only where neighbours tell wear from a turn.
         let worn = inspect_full(&["--teeth", "12,40", "--die-mesh", path.to_str().unwrap()]);
         assert_eq!(
             worn.code, 1,
@@ -112,7 +113,7 @@ fn watch_and_scan_see_the_mesh_too() {
     write(&path, &worn_flank(40, Flank::Right, 0.08).unwrap());
     let mesh = path.to_str().unwrap();
     let mut watch = flankscope();
-    watch.args(["watch", "--quiet", "--json", "-", "--speed", "10"]);
+    watch.args(["watch", "--quiet", "--json", "-", "--speed", "max"]);
     watch.args(["--every", "2", "--cycles", "4", "--teeth", "40"]);
     let watched =
         run(with_small_head(&mut watch, &["--die-mesh", mesh]).stdin(std::process::Stdio::null()));

@@ -1,5 +1,8 @@
 //! Structure finer than a cell through the whole instrument: openings whose floors no light comes back from are never passed, and
 //! hairlines that are seen to their floor do not cost a go.
+//!
+//! They need the full head: with one tooth in view wear of this size is indeterminate for want of neighbours, so that a refusal would
+//! prove nothing about the structure.
 
 use std::path::Path;
 

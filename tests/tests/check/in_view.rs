@@ -1,4 +1,6 @@
 //! What is in view and was not asked for: worn neighbours, teeth that are missing, a die put down turned, a die of another size.
+//!
+//! All of them need the full head: in the small one's field stands one tooth, without neighbours.
 
 use std::path::Path;
 

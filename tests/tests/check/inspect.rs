@@ -50,6 +50,7 @@ fn assert_whole(run: &Run) {
 /// Four seeds where everything runs, else two, each undamaged and worn: go, and no-go on exactly the worn flank. Split over
 /// threads of the test runner.
 fn seeds(seeds: std::ops::Range<u32>) {
+    // The demo as it is shipped, whose head is the full one: this is what a newcomer runs first.
     let count = if everything() { 2 } else { 1 };
     for seed in seeds.take(count) {
         let seed = seed.to_string();
@@ -115,7 +116,7 @@ fn one_seed_gives_one_result() {
 
 #[test]
 fn other_teeth_and_in_between_limits() {
-    // 40 µm lies between warn and stop, by more than the guard band of 1.645 x 2 µm.
+    // 40 µm lies between warn and stop, by more than the guard band of 1.645 x 2 µm: of the full head, with neighbours in view.
     let warned = inspect_full(&["--teeth", "7,84", "--wear", "84:left:40"]);
     assert_eq!(warned.code, 4, "{}", warned.json["reason"]);
     assert_eq!(warned.not_go(), ["84:left:warn"]);
@@ -247,6 +248,7 @@ fn a_press_demands_a_tool_and_a_calibrated_head() {
     let text = std::fs::read_to_string(&head).unwrap();
     let (drawn, _) = text.split_once("[calibration]").unwrap();
     let refused = |arguments: &[&str], why: &[&str]| {
+        // The built-in demo: refused before anything is rendered.
         let run = inspect_full(&[&["--link", nowhere], arguments].concat());
         assert_eq!(run.code, 3, "{arguments:?}");
         for words in why {
@@ -362,6 +364,7 @@ fn a_baseline_shows_five_micrometres() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("baseline.json");
     let file = path.to_str().unwrap();
+    // Five micrometres since a baseline are a claim of the full head.
     let new = inspect_full(&["--seed", "31", "--teeth", "40", "--record-baseline", file]);
     assert_eq!(new.code, 0, "{} {}", new.json["reason"], new.stderr);
 

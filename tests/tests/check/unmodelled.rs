@@ -1,4 +1,6 @@
 //! Errors that neither calibration nor joint solve has a parameter for: a worn flank must not pass because of them.
+//!
+//! They need the full head: the errors act across its field, and its verdict without them is no-go.
 
 use flankscope_test_requisites::at_least;
 use flankscope_tests::{bench, flankscope, inspect_full, inspect_full_on, inspect_on, run};

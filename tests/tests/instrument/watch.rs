@@ -4,7 +4,7 @@ use std::process::Stdio;
 
 use flankscope_tests::{Run, bench, flankscope, run, with_small_head};
 
-/// The simulated press runs `speed` times as fast as a real one: fifty times, and its openings are too short for a busy host.
+/// A watch of the small head before a press that is `speed` times as fast as a real one.
 fn watch(speed: &str, arguments: &[&str]) -> Run {
     let mut command = flankscope();
     command.args(["watch", "--quiet", "--json", "-", "--speed", speed]);
@@ -27,7 +27,7 @@ fn growing_wear_goes_from_go_over_warn_to_a_no_go_that_stays() {
     let arguments = "--every 8 --cycles 60 --teeth 40 --wear-rate 40:left:1.2";
     // Wear between the limits is told from a turn of the die by the neighbours that only the large head shows.
     let result = run(flankscope()
-        .args(["watch", "--quiet", "--json", "-", "--speed", "10"])
+        .args(["watch", "--quiet", "--json", "-", "--speed", "max"])
         .args(arguments.split(' '))
         .stdin(Stdio::null()));
     let shown = shown(&result);

@@ -158,6 +158,7 @@ fn an_unsigned_head_says_so_in_every_result() {
     let check = inspect(&["--tool", tool, "--link", "sim", "--teeth", "40"]);
     assert_eq!(check.code, 0, "{}", check.stderr);
     assert_eq!(check.json["head"]["seal"], "unsigned");
+    // Only the built-in demo has the seal "built in", and its head is the full one.
     assert_eq!(
         inspect_full(&["--teeth", "40"]).json["head"]["seal"],
         "built in"

@@ -114,7 +114,7 @@ fn a_simulated_check_says_so_in_document_report_and_history() {
         press.stderr
     );
 
-    // Nobody asked for the name of the demo's station; it has one all the same.
+    // The built-in demo, whose head is the full one, has the name of a station although none was given.
     let demo = inspect_full(&["--teeth", "40"]);
     assert_eq!(
         (&demo.json["simulated"], &demo.json["id"]),
@@ -223,6 +223,7 @@ fn a_station_is_a_file() {
         u95(&sound)
     );
     std::fs::write(&file, stored).unwrap();
+    // The built-in demo again: every other tool needs a link anyway. It is refused before anything is rendered.
     let unlinked = inspect_full(&["--station", file.to_str().unwrap()]);
     assert_eq!(unlinked.code, 3);
     let said = &unlinked.stderr;
