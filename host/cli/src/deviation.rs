@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let cad = || args.cad.trouble();
     let (mut deviations, prepared) = match args.metric {
         Metric::Surface => {
-            let surface = Surface::new(&mesh).with_context(cad)?;
+            let surface = Surface::oriented(&mesh, &orientation).with_context(cad)?;
             let prepared = Instant::now();
             (deviation::deviations(&surface, &cloud.points), prepared)
         }

@@ -212,7 +212,7 @@ impl Args {
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
         let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
             (Some(cad), _) => {
-                let Cad { mesh, .. } = cad.load(&self.common)?;
+                let Cad { mesh, orientation } = cad.load(&self.common)?;
                 let sampled = sampling::sample(&mesh, MOST_PICK_POINTS, SEED);
                 (&cad.path, sampled.with_context(|| cad.trouble())?)
             }
@@ -256,7 +256,7 @@ impl Args {
             None => self.start.pose()?,
         };
         let loaded = Instant::now();
-        let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
+        let surface = Surface::oriented(&mesh, &orientation).with_context(|| cad.trouble())?;
         // By default teeth point inwards; a body of revolution inside the CAD shows that they point outwards.
         let found = || {
             [GearKind::Internal, GearKind::External]

@@ -295,3 +295,36 @@ fn a_large_part_is_laid_on_its_cad_by_limits_of_its_own_noise() {
     let noise = 3f64.sqrt() * NOISE_MM;
     assert!((rms / noise - 1.0).abs() < 0.02, "{rms} {noise}");
 }
+
+/// A disc with twelve tooth blocks that overlap it, as an assembly is exported: signs are those of the union.
+#[test]
+fn bodies_that_overlap_have_the_sign_of_their_union() {
+    let Some(case) = flankscope_test_requisites::shared("cases/12-nested") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| case.join(name).to_str().unwrap().to_owned();
+    let (report, told) = deviation(
+        folder.path(),
+        &path("disc_then_teeth.stl"),
+        &["--cloud", &path("tooth_tips.xyz")],
+    );
+    assert!(!told.contains("wrong way"), "{told}");
+    assert_eq!(report["orientation"]["turned"], 0, "{report}");
+    let signed = cloud::load(&folder.path().join("deviation.ply"), Unit::Mm).unwrap();
+    let column = signed
+        .extras
+        .iter()
+        .find(|column| column.name == "deviation");
+    let truth = std::fs::read_to_string(path("tooth_tips_true_mm.txt")).unwrap();
+    let truth: Vec<f64> = truth
+        .lines()
+        .map(|line| line.trim().parse().unwrap())
+        .collect();
+    let got = &column.unwrap().values;
+    assert_eq!(got.len(), truth.len());
+    for (got, truth) in got.iter().zip(truth) {
+        // Six decimals in the cloud's file, single precision in the answer's.
+        assert!((f64::from(*got) - truth).abs() < 2e-6, "{got} {truth}");
+    }
+}

@@ -28,7 +28,7 @@ impl Mesh {
     pub fn prepared(mut mesh: TriMesh) -> PyResult<Self> {
         mesh.check().map_err(geometry)?;
         let orientation = orient(&mut mesh);
-        let surface = Surface::new(&mesh).map_err(geometry)?;
+        let surface = Surface::oriented(&mesh, &orientation).map_err(geometry)?;
         Ok(Self {
             mesh,
             surface,

@@ -3,7 +3,12 @@
 //! The distance is the Euclidean one to the nearest point of any triangle, in f64. Its sign comes from angle-weighted
 //! pseudo-normals at faces, edges and corners (Baerentzen and Aanaes, IEEE TVCG 11, 243, 2005), so it is right at
 //! ridges too, where the normal of one face alone misleads. Positive is outside the material.
+//!
+//! Of several closed bodies in one mesh ([`Surface::oriented`]) a point is inside if the winding numbers of all bodies about it sum to
+//! more than nought (Barill et al., ACM Trans. Graph. 37, 43, 2018): a face that lies inside another body is no outside. The distance
+//! is that to the nearest face of any body, buried or not.
 
+mod bodies;
 pub(crate) mod bvh;
 pub mod orientation;
 mod ray;
@@ -21,8 +26,10 @@ use crate::io::mesh::{MeshError, TriMesh, weld};
 use crate::space::Aabb;
 use crate::space::morton::map_along_curve;
 use crate::space::unit_normal;
+use bodies::Bodies;
 use bvh::{Bvh, Found, PacketScratch, QUERIES};
 use flankscope_foundation::simd;
+use orientation::Orientation;
 pub use triangle::Feature;
 
 /// Points per parallel task. Fixed, so that hints and sums, and with them every bit, do not depend on the thread count.
@@ -37,6 +44,8 @@ pub struct Surface {
     facets: Arc<Vec<Facet>>,
     bvh: Bvh,
     bounds: Aabb,
+    /// The closed parts of a mesh that has several.
+    bodies: Option<Arc<Bodies>>,
 }
 
 /// Data of one triangle beside its corners. Order of corners: as in the mesh, turned for triangles without area.
@@ -95,6 +104,18 @@ impl Surface {
         Self::over(Arc::new(facets), |_| true).ok_or(no_area)
     }
 
+    /// Prepares a mesh as [`orientation::orient`] left it: with the bodies that it found there.
+    ///
+    /// # Errors
+    /// As [`Surface::new`].
+    pub fn oriented(mesh: &TriMesh, orientation: &Orientation) -> Result<Self, MeshError> {
+        let mut surface = Self::new(mesh)?;
+        if !orientation.bodies.is_empty() && orientation.unsigned.is_none() {
+            surface.bodies = Some(Arc::new(Bodies::new(mesh, &orientation.bodies)?));
+        }
+        Ok(surface)
+    }
+
     fn over(facets: Arc<Vec<Facet>>, keep: impl Fn(&Aabb) -> bool) -> Option<Self> {
         let mut bounds: Option<Aabb> = None;
         let mut items = Vec::with_capacity(facets.len());
@@ -112,13 +133,15 @@ impl Surface {
             facets,
             bvh,
             bounds,
+            bodies: None,
         })
     }
 
     /// The part of the surface whose triangles' boxes pass `keep`, or none when nothing passes. Signs near the cut stay
     /// those of the whole surface. The caller keeps a margin: a point nearer to a dropped triangle is measured to a kept one.
     pub fn restrict(&self, keep: impl Fn(&Aabb) -> bool) -> Option<Self> {
-        Self::over(Arc::clone(&self.facets), keep)
+        let bodies = self.bodies.clone();
+        Self::over(Arc::clone(&self.facets), keep).map(|part| Self { bodies, ..part })
     }
 
     /// Box around all triangles, mm.
@@ -152,7 +175,11 @@ impl Surface {
         let distance = nearest.distance2_mm2.sqrt();
         Closest {
             point: nearest.point.into(),
-            signed_distance_mm: if outside < 0.0 { -distance } else { distance },
+            signed_distance_mm: if self.is_inside(p, outside) {
+                -distance
+            } else {
+                distance
+            },
             normal,
             triangle: facet.triangle,
             feature: nearest.feature,
@@ -192,8 +219,21 @@ impl Surface {
             };
             let outside = normal.dot(&(Vector3::from(p) - nearest.point));
             let distance = nearest.distance2_mm2.sqrt();
-            if outside < 0.0 { -distance } else { distance }
+            if self.is_inside(p, outside) {
+                -distance
+            } else {
+                distance
+            }
         });
+    }
+
+    /// Whether a point is inside the material, by its component along the normal at the closest point, or by all bodies.
+    #[inline(always)]
+    fn is_inside(&self, p: [f64; 3], outside_mm: f64) -> bool {
+        match &self.bodies {
+            None => outside_mm < 0.0,
+            Some(bodies) => bodies.hold(p),
+        }
     }
 
     /// As [`Surface::closest_many`], keeping only what `pick` takes.

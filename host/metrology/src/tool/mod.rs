@@ -525,7 +525,7 @@ impl Tool {
         if let Some(source) = orientation.unsigned {
             return Err(ToolError::Unsigned { path, cad, source });
         }
-        let mut surface = Surface::new(&mesh).map_err(in_mesh)?;
+        let mut surface = Surface::oriented(&mesh, &orientation).map_err(in_mesh)?;
         if let Some(gear) = &file.gear {
             check::against_mesh(&path, gear, &mesh, &surface)?;
             if let Some(hole_mm) = orientation.rim.hole(|place| gear.is_toothing(place)) {

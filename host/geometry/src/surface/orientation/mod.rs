@@ -2,8 +2,10 @@
 //!
 //! The formats say that corners run counter-clockwise seen from outside; many files do not keep to it. Triangles that share an
 //! edge must run along it in opposite directions, which orients every connected part up to one choice. Of a closed part the
-//! choice follows from its volume, and from how many other closed parts hold it (a cavity's shell points inwards). Of an open
-//! part it cannot be known: the file's own order stands, that of most of the part's area where it is mixed.
+//! choice follows from its volume, and from how many other closed parts hold all of it: a cavity's shell points inwards, a body
+//! that sticks out of another one or touches its surface is a body. Where bodies of the mesh cross one another it is an assembly,
+//! and what lies wholly in one of them may be a body or a cavity: its order in the file decides. Of an open part it cannot be known: the file's own order
+//! stands, that of most of the part's area where it is mixed.
 
 mod repeated;
 mod rim;
@@ -11,6 +13,7 @@ mod rim;
 mod tests;
 mod winding;
 
+use std::collections::HashMap;
 use std::sync::OnceLock;
 
 use nalgebra::Vector3;
@@ -20,12 +23,16 @@ use crate::space::Aabb;
 use crate::surface::Surface;
 use repeated::drop_repeated;
 pub use rim::Rim;
-use winding::{Parities, edges};
+use winding::{Parities, edges, mates};
 
 /// A part of an open mesh whose smaller half is more than this share of its area has no order that could stand.
 const MOST_MIXED: f64 = 0.1;
 /// A closed part of less volume than this share of that of a sphere of its area is a sheet folded on itself: it has no inside.
 const LEAST_VOLUME: f64 = 1e-6;
+/// A part is wholly inside another if none of its triangles comes nearer to the other's surface than this share of its own size.
+const LEAST_WALL: f64 = 1e-4;
+/// Places at which a part is compared with another one before it counts as touching it.
+const MOST_PLACES: usize = 200_000;
 /// Which of the closed parts lie within which is asked for each two of them, so there is a limit to their number.
 const MOST_PARTS: usize = 2000;
 
@@ -46,6 +53,10 @@ pub struct Orientation {
     /// Reason for which distances to the mesh have no sign; none when they have one.
     #[serde(skip)]
     pub unsigned: Option<Unsigned>,
+    /// Triangles of each closed part, where there is nothing else and some may overlap, touch or hold one another: then the nearest
+    /// triangle alone does not tell inside from outside.
+    #[serde(skip)]
+    pub bodies: Vec<Vec<u32>>,
 }
 
 /// Reasons for which no side of a mesh is outside.
@@ -153,6 +164,13 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
     let (mut open, mut open_edges, mut rim) = (Vec::new(), 0, Rim::default());
     let mut one_sided = Vec::new();
     for edge in edges(&ids).chunk_by(|a, b| a.ends == b.ends) {
+        if let Some(mates) = mates(edge, &ids, &places) {
+            for [a, b] in mates {
+                // Wound alike, by the order in which they were paired.
+                let _always_agrees = parities.join(a as usize, b as usize, false);
+            }
+            continue;
+        }
         let [a, b] = edge else {
             open.extend(edge.iter().map(|side| side.triangle as usize));
             open_edges += 1;
@@ -188,6 +206,7 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
         open_edges,
         rim,
         unsigned: None,
+        bodies: Vec::new(),
     };
     let solids = match solids(mesh, &of, &parts) {
         Ok(solids) => solids,
@@ -199,7 +218,7 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
     let mut turn = vec![false; ids.len()];
     for (root, part) in parts.iter().enumerate() {
         let Some(part) = part else { continue };
-        match choice(mesh, &solids, root, part) {
+        match choice(&solids, root, part) {
             Ok(turned) => turn[root] = turned,
             Err(why) => {
                 found.unsigned.get_or_insert(why);
@@ -215,25 +234,53 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
             found.turned += 1;
         }
     }
+    found.bodies = bodies(&solids, &of, &parts);
     found
 }
 
+/// Triangles of each solid, if boxes of two of them meet and there is nothing but solids.
+fn bodies(solids: &[Solid], of: &[(usize, bool)], parts: &[Option<MeshPart>]) -> Vec<Vec<u32>> {
+    let meets = |a: &Aabb, b: &Aabb| (0..3).all(|k| a.low[k] <= b.high[k] && b.low[k] <= a.high[k]);
+    let is_beside = |(number, solid): (usize, &Solid)| {
+        let mut others = solids[number + 1..].iter();
+        others.any(|other| meets(&solid.bounds, &other.bounds))
+    };
+    if !solids.iter().enumerate().any(is_beside) {
+        return Vec::new();
+    }
+    let places = solids.iter().map(|solid| solid.root).zip(0..);
+    let places: HashMap<usize, usize> = places.collect();
+    let mut bodies = vec![Vec::new(); solids.len()];
+    for (triangle, (root, _)) in (0..).zip(of) {
+        match places.get(root) {
+            Some(&body) => bodies[body].push(triangle),
+            // A triangle without area is no part of any surface.
+            None if parts[*root]
+                .as_ref()
+                .is_some_and(|part| part.area_mm2 == [0.0; 2]) => {}
+            None => return Vec::new(),
+        }
+    }
+    bodies
+}
+
 /// Whether the part must be turned against how its root's triangle is wound.
-fn choice(
-    mesh: &TriMesh,
-    solids: &[Solid],
-    root: usize,
-    part: &MeshPart,
-) -> Result<bool, Unsigned> {
+fn choice(solids: &[Solid], root: usize, part: &MeshPart) -> Result<bool, Unsigned> {
     if let Some(triangle) = part.one_sided {
         return Err(Unsigned::OneSided { triangle });
     }
     let [with, against] = part.area_mm2;
     if part.is_solid() {
-        let [a, b, c] = mesh.corners(part.first);
-        let inside: [f64; 3] = std::array::from_fn(|k| (a[k] + b[k] + c[k]) / 3.0);
+        let own = solids.iter().find(|solid| solid.root == root);
         let holders = solids.iter().filter(|solid| solid.root != root);
-        let is_cavity = holders.filter(|solid| solid.holds(inside)).count() % 2 == 1;
+        let holders = holders.filter(|solid| own.is_some_and(|own| solid.holds(own)));
+        let holders: Vec<&Solid> = holders.collect();
+        let is_assembly = || solids.iter().any(|solid| solid.is_crossed(solids));
+        let is_cavity = if !holders.is_empty() && is_assembly() {
+            (part.volume6_mm3 < 0.0) != (against > with)
+        } else {
+            holders.len() % 2 == 1
+        };
         return Ok((part.volume6_mm3 < 0.0) != is_cavity);
     }
     let share = with.min(against) / (with + against);
@@ -265,20 +312,82 @@ struct Solid {
     triangles: TriMesh,
     /// Whether they are wound clockwise seen from outside.
     inside_out: bool,
+    is_crossed: OnceLock<bool>,
 }
 
 impl Solid {
-    fn holds(&self, point: [f64; 3]) -> bool {
-        let Aabb { low, high } = self.bounds;
-        if !(0..3).all(|k| low[k] <= point[k] && point[k] <= high[k]) {
-            return false;
-        }
+    /// Depth of a place below its surface, mm; negative outside.
+    fn depth_mm(&self, at: [f64; 3]) -> f64 {
         let surface = self
             .surface
             .get_or_init(|| Surface::new(&self.triangles).ok());
-        surface.as_ref().is_some_and(|surface| {
-            (surface.closest(point).signed_distance_mm < 0.0) != self.inside_out
+        let signed_mm = surface.as_ref().map_or(f64::INFINITY, |surface| {
+            surface.closest(at).signed_distance_mm
+        });
+        if self.inside_out {
+            signed_mm
+        } else {
+            -signed_mm
+        }
+    }
+
+    /// Whether corners of another part lie on both sides of its surface, or its own on both sides of another part's.
+    fn is_crossed(&self, solids: &[Self]) -> bool {
+        let reaches_into = |part: &Self, other: &Self| {
+            let corners = || part.triangles.vertices.iter();
+            let Aabb { low, high } = other.bounds;
+            let may_be_in = |at: &&[f64; 3]| (0..3).all(|k| low[k] < at[k] && at[k] < high[k]);
+            let mut inside = corners().filter(may_be_in);
+            inside.any(|&at| other.depth_mm(at) > 0.0)
+                && corners().any(|&at| other.depth_mm(at) < 0.0)
+        };
+        *self.is_crossed.get_or_init(|| {
+            let mut others = solids.iter().filter(|other| other.root != self.root);
+            others.any(|other| reaches_into(other, self) || reaches_into(self, other))
         })
+    }
+
+    /// Whether all of another part is inside this one, and does not touch its surface.
+    fn holds(&self, part: &Self) -> bool {
+        let (own, other) = (self.bounds, part.bounds);
+        if !(0..3).all(|k| own.low[k] <= other.low[k] && other.high[k] <= own.high[k]) {
+            return false;
+        }
+        let depth_mm = |at: [f64; 3]| self.depth_mm(at);
+        if part
+            .triangles
+            .vertices
+            .iter()
+            .any(|&corner| depth_mm(corner) <= 0.0)
+        {
+            return false;
+        }
+        let size_mm = (Vector3::from(other.high) - Vector3::from(other.low)).norm();
+        let triangles = 0..part.triangles.triangles.len();
+        let mut left: Vec<[Vector3<f64>; 3]> = triangles
+            .map(|index| part.triangles.corners(index).map(Vector3::from))
+            .collect();
+        let mut places = 0;
+        // A place so deep that the whole triangle about it is inside; else the triangle's four quarters are asked.
+        while let Some(corners) = left.pop() {
+            let [a, b, c] = corners;
+            let middle = (a + b + c) / 3.0;
+            let radius_mm = corners
+                .map(|corner| (corner - middle).norm())
+                .into_iter()
+                .fold(0.0, f64::max);
+            let depth_mm = depth_mm(middle.into());
+            if depth_mm > radius_mm {
+                continue;
+            }
+            places += 1;
+            if depth_mm <= 0.0 || radius_mm < LEAST_WALL * size_mm || places > MOST_PLACES {
+                return false;
+            }
+            let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+            left.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        true
     }
 }
 
@@ -302,6 +411,7 @@ fn solids(
                     triangles: Vec::new(),
                 },
                 inside_out: part.volume6_mm3 < 0.0,
+                is_crossed: OnceLock::new(),
             });
         }
     }

@@ -284,3 +284,109 @@ fn a_strip_with_a_half_turn_has_no_outside() {
         "{found:?}"
     );
 }
+
+/// Twice the area of a triangle's image on the unit sphere about a point, rad: van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 125, 1983.
+fn solid_angle([a, b, c]: [[f64; 3]; 3], at: [f64; 3]) -> f64 {
+    let [a, b, c] = [a, b, c].map(|corner| Vector3::from(corner) - Vector3::from(at));
+    let (la, lb, lc) = (a.norm(), b.norm(), c.norm());
+    let below = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
+    2.0 * a.dot(&b.cross(&c)).atan2(below)
+}
+
+/// Sum of the winding numbers of these bodies about a point, by brute force.
+fn winding(bodies: &[TriMesh], at: [f64; 3]) -> f64 {
+    let angles = bodies.iter().flat_map(|body| {
+        let triangles = 0..body.triangles.len();
+        triangles.map(|index| solid_angle(body.corners(index), at))
+    });
+    angles.sum::<f64>() / (4.0 * std::f64::consts::PI)
+}
+
+/// A box that is turned about its middle, wound outwards.
+fn turned_box(random: &mut impl FnMut() -> f64, centre: [f64; 3], half: [f64; 3]) -> TriMesh {
+    let turn = nalgebra::Rotation3::from_euler_angles(random(), 2.0 * random(), 3.0 * random());
+    let mut mesh = cube([0.0; 3], 1.0);
+    for vertex in &mut mesh.vertices {
+        let own: Vector3<f64> = std::array::from_fn(|k| vertex[k] * half[k]).into();
+        *vertex = (turn * own + Vector3::from(centre)).into();
+    }
+    mesh
+}
+
+/// Bodies that overlap, stick out of one another, stand apart or touch, and cavities within them: the sign is that of the sum of
+/// all winding numbers, however the file wound each of them.
+#[test]
+fn assemblies_have_the_sign_of_their_winding_numbers() {
+    let mut draws = 0;
+    let mut random = || {
+        draws += 1;
+        flankscope_foundation::random::uniform(83, draws)
+    };
+    let (mut asked, mut inside, mut buried) = (0, 0, 0);
+    for assembly in 0..30 {
+        let count = 2 + assembly % 19;
+        let mut bodies: Vec<TriMesh> = Vec::new();
+        for body in 0..count {
+            let centre: [f64; 3] = std::array::from_fn(|_| 8.0 * random());
+            let half: [f64; 3] = std::array::from_fn(|_| 0.4 + 1.6 * random());
+            if assembly % 3 == 0 {
+                // Apart, each with a cavity and a body in it.
+                let centre = [10.0 * body as f64, 0.0, 0.0];
+                bodies.push(turned_box(&mut random, centre, [2.0; 3]));
+                let mut cavity = turned_box(&mut random, centre, [1.0; 3]);
+                flip(&mut cavity, |_| true);
+                bodies.push(cavity);
+                bodies.push(turned_box(&mut random, centre, [0.5; 3]));
+            } else if assembly % 3 == 1 {
+                bodies.push(turned_box(&mut random, centre, half));
+            } else {
+                // Along the axes on a grid, so that faces and edges touch; never one within another.
+                let at = [f64::from(body as u32), 0.0, 0.0];
+                bodies.push(cube(at, if body % 2 == 0 { 0.5 } else { 0.7 }));
+            }
+        }
+        let oriented = bodies.clone();
+        for (n, body) in bodies.iter_mut().enumerate() {
+            // Of what lies wholly in one of several bodies that cross, the file's order is all that there is.
+            let others = || oriented.iter().enumerate().filter(|&(m, _)| m != n);
+            let is_in = |other: &TriMesh| {
+                let mut corners = body.vertices.iter();
+                corners.all(|&at| winding(std::slice::from_ref(other), at) > 0.5)
+            };
+            let is_held = assembly % 3 == 1 && others().any(|(_, other)| is_in(other));
+            let wrong = !is_held && random() < 0.3;
+            flip(body, |_| wrong);
+        }
+        let mut mesh = joined(&bodies);
+        let found = orient(&mut mesh);
+        assert_eq!((found.unsigned, found.open_edges), (None, 0), "{assembly}");
+        let surface = Surface::oriented(&mesh, &found).unwrap();
+        let low = surface.bounds().low.map(|v| v - 0.5);
+        let size: [f64; 3] = std::array::from_fn(|k| surface.bounds().high[k] + 0.5 - low[k]);
+        let points: Vec<[f64; 3]> = (0..10_000)
+            .map(|_| std::array::from_fn(|k| low[k] + size[k] * random()))
+            .collect();
+        let mut distances_mm = vec![0.0; points.len()];
+        surface.signed_distances(&points, &mut distances_mm);
+        for (&point, distance_mm) in points.iter().zip(distances_mm) {
+            if distance_mm.abs() < 1e-9 {
+                continue;
+            }
+            let winding = winding(&oriented, point);
+            let is_inside = winding > 0.5;
+            assert_eq!(
+                distance_mm < 0.0,
+                is_inside,
+                "{assembly}: {point:?} {winding} {distance_mm}"
+            );
+            assert_eq!(surface.closest(point).signed_distance_mm, distance_mm);
+            asked += 1;
+            inside += usize::from(is_inside);
+            buried += usize::from(winding > 1.5);
+        }
+    }
+    assert!(
+        asked > 290_000 && inside > 20_000 && buried > 1_000,
+        "{asked} {inside} {buried}"
+    );
+}

@@ -1,5 +1,6 @@
 //! Which triangles share an edge, and whether their windings agree.
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 /// A side of a triangle: its two corners in the order of their numbers, and whether the triangle runs from first to second.
@@ -24,6 +25,53 @@ pub(super) fn edges(ids: &[[u32; 3]]) -> Vec<Edge> {
     }
     edges.par_sort_unstable_by_key(|edge| (edge.ends, edge.triangle));
     edges
+}
+
+/// Angle between two faces that count as one plane, rad.
+const FLAT_RAD: f64 = 1e-9;
+
+/// The triangles at an edge where bodies touch, in pairs that enclose material; none unless there are four or more, half of them in
+/// each direction, that alternate around the edge.
+pub(super) fn mates(edge: &[Edge], ids: &[[u32; 3]], places: &[[f64; 3]]) -> Option<Vec<[u32; 2]>> {
+    let forward = edge.iter().filter(|side| side.forward).count();
+    if edge.len() < 4 || 2 * forward != edge.len() {
+        return None;
+    }
+    let place = |corner: u32| Vector3::from(places[corner as usize]);
+    let (from, to) = edge[0].ends;
+    let along = (place(to) - place(from)).normalize();
+    let across = |side: &Edge| {
+        let corners = ids[side.triangle as usize];
+        let third = corners.into_iter().find(|&c| c != from && c != to)?;
+        let away = place(third) - place(from);
+        Some(away - along * away.dot(&along))
+    };
+    let zero = across(&edge[0])?;
+    let mut around = Vec::with_capacity(edge.len());
+    for side in edge {
+        let away = across(side)?;
+        let angle = along.dot(&zero.cross(&away)).atan2(zero.dot(&away));
+        let is_first = angle.abs() < FLAT_RAD;
+        let angle = if is_first {
+            0.0
+        } else {
+            angle.rem_euclid(std::f64::consts::TAU)
+        };
+        around.push((angle, side));
+    }
+    // Material lies behind a face that runs backward along the edge; of two faces in one plane it ends before it begins again.
+    let order = |a: &(f64, &Edge), b: &(f64, &Edge)| match (a.0 - b.0).abs() < FLAT_RAD {
+        true => b.1.forward.cmp(&a.1.forward),
+        false => a.0.total_cmp(&b.0),
+    };
+    around.sort_by(order);
+    let begin = around.iter().position(|(_, side)| !side.forward)?;
+    around.rotate_left(begin);
+    let pairs = around.chunks_exact(2).map(|pair| {
+        let alternate = !pair[0].1.forward && pair[1].1.forward;
+        alternate.then(|| [pair[0].1.triangle, pair[1].1.triangle])
+    });
+    pairs.collect()
 }
 
 /// Disjoint sets whose members know whether they are wound as their set's root.
