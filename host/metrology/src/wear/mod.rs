@@ -22,6 +22,7 @@ mod figures;
 mod further;
 mod gather;
 pub mod leakage;
+mod one_sided;
 mod scratches;
 pub mod sensitivity;
 mod shared;
