@@ -1,5 +1,5 @@
-//! What a press does to all flanks: scoring along the height that leaves most of the surface in place, a datum band that wears with the
-//! rest, equal and opposite changes of both sides beside a local loss. None of them is ever go.
+//! Damage as a press makes it is never go: scoring along the height that leaves most of the surface in place, a datum band that wears
+//! with the rest, equal and opposite changes of both sides beside a local loss.
 
 use std::path::Path;
 
@@ -24,10 +24,10 @@ fn cut(step_mm: [f64; 2], loss_mm: impl Fn([f64; 2]) -> f64) -> Mesh {
     };
     let inside = |[low, high]: [f64; 2], at: f64| (low..high).contains(&at);
     let loss = |at: Place| {
-        let here = (at.tooth, at.flank) == (40, Flank::Left)
+        let is_cut = (at.tooth, at.flank) == (40, Flank::Left)
             && inside(CUT_RADIUS_MM, at.from_tip_mm)
             && inside(CUT_HEIGHT_MM, at.height_mm);
-        match here {
+        match is_cut {
             true => loss_mm([at.from_tip_mm, at.height_mm]),
             false => 0.0,
         }
@@ -116,8 +116,8 @@ fn a_datum_band_that_wears_with_the_rest_is_never_passed_and_a_sound_one_is() {
     let of_tool = ["--tool", &tool, "--link", "sim", "--teeth", "40"];
     let sound = inspect_full(&[&of_tool[..], &["--seed", "913"]].concat());
     assert_eq!(sound.code, 0, "{}", sound.json["reason"]);
-    let said = sound.json["reason"].as_str().unwrap_or_default();
-    assert!(said.contains("one datum band"), "{said}");
+    let sentence = sound.json["reason"].as_str().unwrap_or_default();
+    assert!(sentence.contains("one datum band"), "{sentence}");
     for (left_um, right_um) in at_least(2, &[(51.0, -25.0), (38.0, 0.0), (55.0, -15.0)]) {
         let mesh = bore(
             |at| match at.flank {

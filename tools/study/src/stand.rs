@@ -78,7 +78,7 @@ impl Stand {
         })
     }
 
-    /// The same head, from now on with a pose that rests on one band of the flanks below the judged zone.
+    /// Replaces the tool by one whose pose rests on a single band of the flanks below the judged zone.
     pub fn with_datum_band(mut self) -> anyhow::Result<Self> {
         let middle_mm = self.place.height_mm;
         if let Some(inspect) = &mut self.tool.inspect {

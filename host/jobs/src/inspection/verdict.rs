@@ -267,8 +267,7 @@ pub fn of_tool(
     };
     let reason = match &verdict {
         Verdict::Go => {
-            let presumed = presumed.iter().map(|of| format!("; {of}"));
-            let presumed: String = presumed.collect();
+            let presumed: String = presumed.iter().map(|text| format!("; {text}")).collect();
             let what = match flanks.first().is_some_and(|of| of.id.patch.is_some()) {
                 true => "patches",
                 false => "flanks",

@@ -118,7 +118,7 @@ struct CellPart {
     count: f64,
     /// Of weights times squared wear, mm2.
     squares: f64,
-    /// Of weights times cubed wear, mm3.
+    /// Sum of weights times cubed wear, mm3.
     cubes: f64,
 }
 

@@ -414,7 +414,7 @@ mod tests {
                     found.count() as f64 / DRAWS as f64
                 });
                 println!("{width_mm:.3} mm: {power:.2?}");
-                // Side by side, more of the surface is open than not: what is left of it stands proud, and the skewness is gone.
+                // At the first pitch most of the surface is open, which makes the distribution of depths nearly symmetric.
                 for (power, pitch) in power.into_iter().zip(PITCHES).skip(1) {
                     let depth_mm = (depth_per_width * width_mm).min(DEEPEST_MM);
                     if width_mm >= 0.03 && depth_mm / pitch > 50e-3 {

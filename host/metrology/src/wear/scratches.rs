@@ -86,7 +86,7 @@ pub(super) fn residuals_beside_mm(points: &[&WearSample]) -> Option<Vec<f64>> {
 
 /// Surface of second order with scratches.
 struct Fit {
-    /// What it leaves of each point's wear, mm.
+    /// Residual of each point's wear, mm.
     left: Vec<f64>,
     /// Number of its terms.
     terms: usize,

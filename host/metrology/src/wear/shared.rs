@@ -232,8 +232,8 @@ impl PoseEvidence {
         }
     }
 
-    /// Loss that a datum hides if it wore itself, mm: how far the pose that rests on it is off the stages, as wear of both sides alike and
-    /// as wear of one side that the other one has gained, of each what is beyond [`STAGES_CONTRADICT`] standard uncertainties.
+    /// Loss that a datum hides by its own wear, mm. The pose that rests on it is compared with the stages, as wear of both sides alike and as
+    /// wear of one side that the other one gained. Differences beyond [`STAGES_CONTRADICT`] standard uncertainties count in full.
     pub(super) fn datum_hides_mm(&self) -> f64 {
         let turned_sigma_mm = self.approach_sigma_mm.hypot(self.mount_sigma_mm);
         let contradicted =
@@ -590,5 +590,66 @@ mod tests {
         evidence.flanks[1].median_mm = f64::NAN;
         let turn = evidence.turn(None, FORM_MM, FORM_MM);
         assert!(turn.mean_mm.is_nan() && turn.u_mm.is_nan(), "{turn:?}");
+    }
+
+    #[test]
+    fn a_sound_datum_is_held_for_worn_once_in_a_hundred_and_a_worn_one_by_all_that_is_off() {
+        let at = |both_mm: f64, turned_mm: f64| PoseEvidence {
+            stages_both_mm: both_mm,
+            both_sigma_mm: 4e-3,
+            stages_mm: turned_mm,
+            approach_sigma_mm: 6e-3,
+            mount_sigma_mm: 8e-3,
+            ..view([0.0; 2], [0.0; 2], 0.0, 0.0)
+        };
+        const DRAWS: u64 = 40_000;
+        let held = |i: &u64| {
+            at(4e-3 * normal(77, 2 * i), 10e-3 * normal(77, 2 * i + 1)).datum_hides_mm() > 0.0
+        };
+        let rate = (0..DRAWS).filter(held).count() as f64 / DRAWS as f64;
+        // Beyond 2.8 standard deviations is a normal error with a probability of 0.511 %; four standard deviations of the count.
+        let expected = 1.0 - (1.0 - 5.11e-3_f64).powi(2);
+        let chance = 4.0 * (expected / DRAWS as f64).sqrt();
+        assert!((rate - expected).abs() < chance, "{rate} {expected}");
+        assert_eq!(at(20e-3, 0.0).datum_hides_mm(), 20e-3);
+        assert_eq!(at(0.0, -40e-3).datum_hides_mm(), 40e-3);
+        assert!(at(f64::NAN, 0.0).datum_hides_mm().is_nan());
+    }
+
+    /// The die lost 51 µm in all, part of it locally and part as equal and opposite changes that the pose took for a turn.
+    #[test]
+    fn local_loss_and_an_opposite_change_pass_only_where_the_stages_err_by_more_than_one_sigma() {
+        const LIMIT_MM: f64 = 50e-3;
+        for local_mm in [10e-3, 20e-3, 28e-3] {
+            const DRAWS: u64 = 4000;
+            let passes = |i: &u64| {
+                let turn = Turn {
+                    mean_mm: 0.0,
+                    u_mm: 1e-3,
+                    both_sides_mm: 0.0,
+                    both_hidden_mm: 0.0,
+                    from_stages_mm: 51e-3 - local_mm + STAGES_MM * normal(5, *i),
+                    stages_sigma_mm: STAGES_MM,
+                    levels_mm: [0.0; 2],
+                };
+                let together = turn.with_opposite_mm(Flank::Left, local_mm, 4e-3);
+                together.expect("a local loss") <= LIMIT_MM
+            };
+            let rate = (0..DRAWS).filter(passes).count() as f64 / DRAWS as f64;
+            // A normal error below -1 standard deviation has a probability of 15.9 %.
+            assert!(
+                rate < 0.159 + 4.0 * (0.159 / DRAWS as f64).sqrt(),
+                "{local_mm}: {rate}"
+            );
+            assert!(rate > 0.05, "{local_mm}: {rate}");
+        }
+        let level = Turn {
+            levels_mm: [20e-3, 0.0],
+            ..Turn::of_all(std::iter::once(
+                view([0.0; 2], [0.0; 2], 0.0, 0.0).turn(None, FORM_MM, FORM_MM),
+            ))
+        };
+        // Wear of the whole side is no local loss.
+        assert_eq!(level.with_opposite_mm(Flank::Left, 22e-3, 4e-3), None);
     }
 }

@@ -12,7 +12,7 @@
 //! the floor is not seen, depths from nought to w / t come back, evenly, from the far wall. Where they pile up at the deepest,
 //! that is a floor. An opening's hidden floor is supposed [`DEPTH_PER_WIDTH`] times as deep as the opening is wide, and never
 //! deeper than the settings suppose of a hole. What no evidence shows is in docs/method.md: texture of openings narrower than
-//! some 0.03 mm scatters no more than a rough surface does.
+//! some 0.03 mm that leave little of the surface in place scatters evenly, and no more than a rough surface does.
 
 use super::disc::Discs;
 use super::sight::Visibility;

@@ -182,10 +182,10 @@ fn on_wear(
         side.map_or(0.0, |side| base_mm(side, profile_mm(gear, at)))
     });
     let truths_um = [0, 1].map(|side| {
-        let of = cuts[side].1;
-        let raster_mm = (of.width_mm / 8.0).max(4e-3);
+        let structure = cuts[side].1;
+        let raster_mm = (structure.width_mm / 8.0).max(4e-3);
         largest_mean_um(judged, stand.disc_area_mm2, raster_mm, |profile, height| {
-            base_mm(side, profile) + of.loss_mm(profile, height)
+            base_mm(side, profile) + structure.loss_mm(profile, height)
         })
     });
     let words = [0, 1].map(|side| {

@@ -108,7 +108,7 @@ impl FittedView<'_> {
         };
         let answer = response.answer(|i| grown(&contacts[i]));
         let places = self.places;
-        // Where the pose rests on a datum, no turn can share wear between the sides, unless the datum wore.
+        // A pose on a datum leaves no turn that shares wear between the sides, unless the datum wore.
         let mut datum_hides_mm = 0.0;
         let (evidence, others): (_, Vec<FormPart>) = match self.features {
             Features::Gear(_) if self.datum_bands_mm.is_empty() => {
