@@ -55,7 +55,8 @@ fn assert_not_passed(name: &str, run: &Run) {
     );
 }
 
-/// Grooves along the height: width, pitch and depth, mm, and even wear beside them, µm.
+/// Grooves along the height: width, pitch and depth, mm, and even wear beside them, µm. Even wear stands before the full head, because the
+/// small one sees no neighbours by which it is told from a turn of the pose.
 #[test]
 fn grooves_that_leave_most_of_the_flank_in_place_are_never_passed() {
     let folder = tempfile::tempdir().unwrap();
@@ -72,7 +73,11 @@ fn grooves_that_leave_most_of_the_flank_in_place_are_never_passed() {
             1e-3 * even_um + if groove { *depth_mm } else { 0.0 }
         });
         let die = write_bore(folder.path(), &mesh);
-        let run = inspect(&["--teeth", "40", "--die-mesh", &die, "--seed", "911"]);
+        let order = ["--teeth", "40", "--die-mesh", &die, "--seed", "911"];
+        let run = match *even_um > 0.0 {
+            true => inspect_full(&order),
+            false => inspect(&order),
+        };
         let name = format!("{width_mm} every {pitch_mm}, {depth_mm} deep on {even_um} um");
         assert_not_passed(&name, &run);
         assert_eq!(run.flank(40, "right"), Some("go"), "{name}");
