@@ -14,5 +14,6 @@ mod in_view;
 mod inspect;
 mod lens;
 mod remeasure;
+mod scoring;
 mod unmodelled;
 mod wear_of_cloud;

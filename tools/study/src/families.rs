@@ -44,11 +44,19 @@ pub enum Family {
     Rough,
     /// Sound: pitch, slope and crown of class 7.
     Class7,
+    /// Grooves along the height or askew, apart from each other, on even or sloping wear.
+    Scoring,
+    /// Straight rows of pits.
+    PitRows,
+    /// All flanks of one or both sides worn, the only band of the datum with them.
+    WornDatum,
+    /// Equal and opposite changes of both sides of all teeth, and local wear.
+    OppositeAndLocal,
 }
 
 impl Family {
     /// All families.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 12] = [
         Self::Texture,
         Self::Opening,
         Self::BothSides,
@@ -57,6 +65,10 @@ impl Family {
         Self::Hairlines,
         Self::Rough,
         Self::Class7,
+        Self::Scoring,
+        Self::PitRows,
+        Self::WornDatum,
+        Self::OppositeAndLocal,
     ];
 
     /// Whether its dies should get a "go".
@@ -77,12 +89,19 @@ impl Family {
             Self::Hairlines => "hairlines (sound)",
             Self::Rough => "roughness of 3 µm (sound)",
             Self::Class7 => "class 7 (sound)",
+            Self::Scoring => "scoring along the height or askew",
+            Self::PitRows => "rows of pits",
+            Self::WornDatum => "a single datum band that wore",
+            Self::OppositeAndLocal => "opposite sides and local wear",
         }
     }
 
     /// Whether heads with odd numbers use a baseline of the sound die for this family.
     fn has_baselines(self) -> bool {
-        matches!(self, Self::Texture | Self::BothSides)
+        matches!(
+            self,
+            Self::Texture | Self::BothSides | Self::Scoring | Self::WornDatum
+        )
     }
 }
 
@@ -169,6 +188,9 @@ pub fn draws(
         let calibrated = Stand::calibrated(&setup, head, seed)?;
         let of_families = families.iter().map(|&family| {
             let mut stand = Stand::of(&setup, &calibrated, head, seed, family == Family::Class7)?;
+            if family == Family::WornDatum {
+                stand = stand.with_datum_band()?;
+            }
             let since = family.has_baselines() && head % 2 == 1;
             if since {
                 stand = stand.with_baseline()?;
@@ -279,7 +301,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
          side 0 to 45 µm proud, of all teeth or of five, without a datum. *Neighbours*: one flank beside the judged tooth 55 to \
          200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts, and the truth is that of \
          what camera and projector see of the flank within the head's stated field. *Another size*: 0.02 \
-         to 0.2 % larger or smaller, one flank worn 65 to 160 µm. Of texture and worn sides every second head looks against a \
+         to 0.2 % larger or smaller, one flank worn 65 to 160 µm. *Scoring*: grooves 20 to 120 µm wide, 1.2 to 10 widths apart, 1 to 10 widths deep, \
+         along the height or up to 10° askew, half of them oblique at any angle, on 0 to 45 µm of even wear and a slope of up to 20 µm/mm. *Rows of pits*: 30 to 80 µm \
+         wide, 1.05 to 2 widths apart in rows 1.5 to 6 widths apart. *A single datum band*: one side of all teeth worn 30 to 70 µm, the other from 20 µm proud to as much worn. \
+         *Opposite and local*: both sides changed by 10 to 45 µm, and more on half of one flank until 51 to 70 µm are lost. Of texture, scoring, worn sides and the datum every second head looks against a \
          baseline. Bounds are one-sided (95 %, Clopper and Pearson); draws before one head share its calibration.\n\n{}\
          | family | beyond {LIMIT_UM} µm | go | warn | no-go | indeterminate | P(go) at most |\n|---|---|---|---|---|---|---|\n",
         command(args),

@@ -18,6 +18,10 @@ use super::capture::{Instrument, Trouble};
 use super::setup::{Place, Setup, own_seed};
 use super::truth;
 
+/// A datum band and the judged zone above it, from the middle of the view, mm.
+const BAND_MM: [f64; 2] = [-4.5, -0.2];
+const ABOVE_BAND_MM: [f64; 2] = [0.3, 4.0];
+
 /// A head, calibrated on the bench, at one place.
 pub(super) struct Stand {
     world: World,
@@ -72,6 +76,20 @@ impl Stand {
             judged,
             disc_area_mm2,
         })
+    }
+
+    /// Replaces the tool by one whose pose rests on a single band of the flanks below the judged zone.
+    pub fn with_datum_band(mut self) -> anyhow::Result<Self> {
+        let middle_mm = self.place.height_mm;
+        if let Some(inspect) = &mut self.tool.inspect {
+            inspect.zone_height_mm = ABOVE_BAND_MM;
+            inspect.datum_height_mm = vec![BAND_MM.map(|mm| middle_mm + mm)];
+        }
+        (self.judged, self.disc_area_mm2) = truth::judged(&self.tool)?;
+        let (tool, head) = (&self.tool, &self.head);
+        self.instrument =
+            Instrument::new(tool, head, self.place.tooth, GridKind::Core, None, None)?;
+        Ok(self)
     }
 
     /// The same head, from now on with a baseline of a sound bore.

@@ -45,6 +45,8 @@ pub(super) enum Plan {
     Line(f64),
     /// A round pit.
     Pit,
+    /// Round pits in rows along the height, this far apart, mm.
+    Rows(f64),
 }
 
 /// Openings on one flank, in a rectangle of it.
@@ -79,6 +81,7 @@ impl Structure {
         let off_mm = match self.plan {
             Plan::Line(angle) => nearest(x * angle.cos() + y * angle.sin()),
             Plan::Pit => nearest(x).hypot(nearest(y)),
+            Plan::Rows(apart_mm) => (x - apart_mm * (x / apart_mm).round()).hypot(nearest(y)),
         };
         self.depth_mm * self.section.at(off_mm / self.width_mm)
     }
@@ -126,7 +129,7 @@ impl Structure {
         let step_mm = match self.plan {
             Plan::Line(angle) if angle.sin().abs() < 1e-9 => [step_mm, 2.0 * ALONG_MM],
             Plan::Line(angle) if angle.cos().abs() < 1e-9 => [ALONG_MM, step_mm],
-            Plan::Line(_) | Plan::Pit => [step_mm; 2],
+            Plan::Line(_) | Plan::Pit | Plan::Rows(_) => [step_mm; 2],
         };
         let [low, high] = self.within.height_mm;
         let from_tip_mm = self
@@ -160,6 +163,15 @@ pub(super) fn profile_mm(gear: &GearSpec, place: Place) -> f64 {
 
 /// The gear's bore with structures on some flanks.
 pub(super) fn cut(gear: &GearSpec, structures: &[(FlankId, Structure)]) -> Mesh {
+    cut_into(gear, structures, |_| 0.0)
+}
+
+/// The gear's bore with structures on some flanks, of which every place has lost `base_mm` beside them.
+pub(super) fn cut_into(
+    gear: &GearSpec,
+    structures: &[(FlankId, Structure)],
+    base_mm: impl Fn(Place) -> f64,
+) -> Mesh {
     let fine: Vec<Fine> = structures
         .iter()
         .map(|(id, of)| of.fine(gear, *id))
@@ -170,8 +182,10 @@ pub(super) fn cut(gear: &GearSpec, structures: &[(FlankId, Structure)]) -> Mesh 
             flank: place.flank,
         };
         let here = structures.iter().filter(|(of, _)| *of == id);
-        here.map(|(_, of)| of.loss_mm(profile_mm(gear, place), place.height_mm))
-            .sum()
+        let cut: f64 = here
+            .map(|(_, of)| of.loss_mm(profile_mm(gear, place), place.height_mm))
+            .sum();
+        base_mm(place) + cut
     };
     bore(loss, &fine)
 }

@@ -49,7 +49,7 @@ impl Findings {
         stopped: Option<&Reason>,
         baseline: Option<&Baseline>,
     ) -> Self {
-        let cad_taken_as_true = tool.as_built_um.is_none() && baseline.is_none();
+        let presumed = verdict::presumptions(tool, baseline.is_some());
         let asked: BTreeSet<u32> = plan.views.iter().map(|view| view.tooth).collect();
         let mut neighbourhood = Neighbourhood::default();
         let mut neighbours = Vec::new();
@@ -110,7 +110,7 @@ impl Findings {
         }
         let stopped = stopped.or(turned.as_ref());
         let beside = neighbourhood.findings(&asked);
-        let (verdict, reason) = verdict::of_tool(&judged, stopped, cad_taken_as_true, &beside);
+        let (verdict, reason) = verdict::of_tool(&judged, stopped, &presumed, &beside);
         Self {
             verdict,
             reason,

@@ -126,8 +126,8 @@ pub fn judge_cloud(
     }
     found.others.sort();
     let beside = found.others.findings(&judging.asked);
-    let cad_taken_as_true = tool.as_built_um.is_none();
-    let (verdict, reason) = verdict::of_tool(&found.judged, None, cad_taken_as_true, &beside);
+    let presumed = verdict::presumptions(&tool, false);
+    let (verdict, reason) = verdict::of_tool(&found.judged, None, &presumed, &beside);
     Ok(CloudVerdict {
         verdict,
         reason,

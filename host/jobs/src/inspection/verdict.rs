@@ -221,12 +221,25 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
     .named(tool)
 }
 
-/// The tool's verdict and one sentence about it. A check that stopped early is never a "go". A "go" relative to a CAD states it
-/// if the die's agreement with the CAD is unknown. `beside` are findings besides the requested flanks.
+/// Presumptions that the sentence of a "go" states: the CAD where nothing says how the die was built, and a single band of a datum.
+pub fn presumptions(tool: &Tool, has_baseline: bool) -> Vec<&'static str> {
+    let mut presumed = Vec::new();
+    if tool.as_built_um.is_none() && !has_baseline {
+        presumed.push("the CAD is taken as true (no as_built_um, no baseline)");
+    }
+    let inspect = tool.inspect.as_ref();
+    if inspect.is_some_and(|inspect| inspect.datum_height_mm.len() == 1) {
+        presumed.push("the pose rests on one datum band, of which only the stages would show wear: two are surer");
+    }
+    presumed
+}
+
+/// The tool's verdict and one sentence about it. A check that stopped early is never a "go". A "go" states what is `presumed`.
+/// `beside` are findings besides the requested flanks.
 pub fn of_tool(
     flanks: &[Judged],
     stopped: Option<&Reason>,
-    cad_taken_as_true: bool,
+    presumed: &[&str],
     beside: &[Finding],
 ) -> (Word, String) {
     let of_flanks = flanks.iter().map(|flank| flank.verdict.clone());
@@ -254,11 +267,7 @@ pub fn of_tool(
     };
     let reason = match &verdict {
         Verdict::Go => {
-            let presumed = if cad_taken_as_true {
-                "; the CAD is taken as true (no as_built_um, no baseline)"
-            } else {
-                ""
-            };
+            let presumed: String = presumed.iter().map(|text| format!("; {text}")).collect();
             let what = match flanks.first().is_some_and(|of| of.id.patch.is_some()) {
                 true => "patches",
                 false => "flanks",

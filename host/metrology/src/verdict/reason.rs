@@ -286,6 +286,15 @@ pub enum Reason {
         /// Largest that leaves enough to see.
         limit: f64,
     },
+    /// Local wear and what the pose may hide by equal and opposite changes of both sides exceed the limit together.
+    #[error(
+        "local wear and equal and opposite changes of both sides of all teeth, as far as the stages allow them, may together be {together_um:.1} um, {limit_um} um are the limit; name a datum (inspect.datum_height_mm) or bring in a better stage", together_um = Number(*together_um), limit_um = Number(*limit_um))]
+    Opposite {
+        /// The largest loss, guard band included, µm.
+        together_um: f64,
+        /// The stop limit, µm.
+        limit_um: f64,
+    },
     /// The tool's temperature is needed and not known.
     #[error(
         "the tool's temperature is not known, but its file asks for it; give --tool-temperature"
@@ -345,7 +354,7 @@ impl Reason {
             Self::Detection { .. } => Code::Detection,
             Self::Disagreement { .. } => Code::Disagreement,
             Self::TipUnseen => Code::TipUnseen,
-            Self::Leakage { .. } => Code::Leakage,
+            Self::Leakage { .. } | Self::Opposite { .. } => Code::Leakage,
             Self::TemperatureMissing => Code::TemperatureMissing,
             Self::TemperatureRange { .. } => Code::TemperatureRange,
             Self::Registration(reason) => reason.into(),
@@ -437,6 +446,10 @@ mod tests {
                     Reason::Leakage {
                         leakage: x,
                         limit: x,
+                    },
+                    Reason::Opposite {
+                        together_um: x,
+                        limit_um: x,
                     },
                     Reason::TemperatureRange {
                         degc: x,

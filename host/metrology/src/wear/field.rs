@@ -33,6 +33,8 @@ pub(super) struct WearSample {
     pub merged: f64,
     /// Sum of their squared differences from it, mm2.
     pub within_mm2: f64,
+    /// Sum of their cubed differences from it, mm3.
+    pub cubes_mm3: f64,
 }
 
 impl WearSample {
@@ -44,7 +46,13 @@ impl WearSample {
             variance_mm2,
             merged: 1.0,
             within_mm2: 0.0,
+            cubes_mm3: 0.0,
         }
+    }
+
+    /// Sum of the cubed residuals of its points if their mean has this residual, mm3.
+    pub fn cubes_about_mm3(&self, residual_mm: f64) -> f64 {
+        self.merged * residual_mm.powi(3) + 3.0 * residual_mm * self.within_mm2 + self.cubes_mm3
     }
 }
 

@@ -118,6 +118,8 @@ struct CellPart {
     count: f64,
     /// Of weights times squared wear, mm2.
     squares: f64,
+    /// Sum of weights times cubed wear, mm3.
+    cubes: f64,
 }
 
 impl CellPart {
@@ -125,6 +127,13 @@ impl CellPart {
     fn within_mm2(&self) -> f64 {
         let mean_mm = self.wear_mm / self.weight;
         self.count * (self.squares / self.weight - mean_mm * mean_mm).max(0.0)
+    }
+
+    /// Sum of its points' cubed differences from their mean, mm3: the weighted one, as if all weighed the same.
+    fn cubes_mm3(&self) -> f64 {
+        let [mean, squares, cubes] =
+            [self.wear_mm, self.squares, self.cubes].map(|sum| sum / self.weight);
+        self.count * (cubes - 3.0 * mean * squares + 2.0 * mean.powi(3))
     }
 }
 
@@ -198,6 +207,7 @@ impl<'a> Gathered<'a> {
             part.variance += weight * weight * variance_mm2;
             part.count += 1.0;
             part.squares += weight * wear_mm * wear_mm;
+            part.cubes += weight * wear_mm.powi(3);
             for (sum, at) in part.at_mm.iter_mut().zip(at_mm) {
                 *sum += weight * at;
             }
@@ -293,6 +303,7 @@ impl<'a> Gathered<'a> {
             variance_mm2: part.variance / (part.weight * part.weight),
             merged: part.count,
             within_mm2: part.within_mm2(),
+            cubes_mm3: part.cubes_mm3(),
         });
         let samples = samples.collect();
         let mut wear = FlankWear::new(

@@ -22,6 +22,7 @@ mod figures;
 mod further;
 mod gather;
 pub mod leakage;
+mod one_sided;
 mod scratches;
 pub mod sensitivity;
 mod shared;
@@ -35,7 +36,7 @@ pub(crate) use unseen::tests as looked;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use flankscope_foundation::normal::guard_factor;
+use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
 use flankscope_foundation::order::median_of;
 
 pub use budget::Budget;
@@ -203,6 +204,9 @@ pub struct JudgedFigures {
     pub hidden_mm: Option<f64>,
     /// Turn about the axis that the pose leaves open; none where no evidence was given.
     pub turn: Option<Turn>,
+    /// Largest loss if equal and opposite changes of both sides of all teeth add to a local one, as far as the stages allow, mm; none
+    /// where no local loss is seen.
+    pub with_opposite_mm: Option<f64>,
 }
 
 impl JudgedFigures {
@@ -392,6 +396,7 @@ impl FlankWear {
                 budget.shared_mm = mean.u_mm.hypot(both_mm);
                 turn = Some(mean);
             }
+            budget.shared_mm = budget.shared_mm.hypot(sensitivity.datum_hides_mm);
             budget.temperature_mm = sensitivity.temperature_mm;
             let passed_on = 1f64.hypot(sensitivity.others_form);
             if !since_baseline {
@@ -432,6 +437,13 @@ impl FlankWear {
                 .cell_mm
                 .map(|cell| with_systematic(cell.value + moved_mm, cell.u)),
             hidden_mm: read.hidden_mm.map(|hidden| hidden + moved_mm),
+            with_opposite_mm: turn.and_then(|turn: Turn| {
+                turn.with_opposite_mm(
+                    self.flank,
+                    read.depth_mm.value,
+                    COVERAGE_95 * budget.total_mm(),
+                )
+            }),
             turn,
         }
     }

@@ -71,6 +71,29 @@ impl Across {
 /// Variance of points about the surface and the scratches that fit them best, mm2; none where there are too few for one scratch. Each
 /// counts as often as points were merged into it.
 pub(super) fn scatter_beside_mm2(points: &[&WearSample]) -> Option<f64> {
+    let Fit { left, terms } = fit(points)?;
+    let merged: f64 = points.iter().map(|p| p.merged).sum();
+    let freedom = merged - terms as f64;
+    let squares = |(point, off): (&&WearSample, &f64)| point.merged * off * off + point.within_mm2;
+    let squares: f64 = points.iter().zip(&left).map(squares).sum();
+    Some(squares / freedom)
+}
+
+/// Residuals of points about the surface and the scratches that fit them best, mm; none where there are too few for one scratch.
+pub(super) fn residuals_beside_mm(points: &[&WearSample]) -> Option<Vec<f64>> {
+    fit(points).map(|fit| fit.left)
+}
+
+/// Surface of second order with scratches.
+struct Fit {
+    /// Residual of each point's wear, mm.
+    left: Vec<f64>,
+    /// Number of its terms.
+    terms: usize,
+}
+
+/// The best fit; none where there are too few points for one scratch.
+fn fit(points: &[&WearSample]) -> Option<Fit> {
     let strips = (points.len() / POINTS_PER_TERM).saturating_sub(SURFACE) / KNOTS;
     if strips == 0 {
         return None;
@@ -101,11 +124,10 @@ pub(super) fn scatter_beside_mm2(points: &[&WearSample]) -> Option<f64> {
         left = residuals(&rows, points)?;
         found.push(strip);
     }
-    let merged: f64 = points.iter().map(|p| p.merged).sum();
-    let freedom = merged - (SURFACE + found.len() * KNOTS) as f64;
-    let squares = |(point, off): (&&WearSample, &f64)| point.merged * off * off + point.within_mm2;
-    let squares: f64 = points.iter().zip(&left).map(squares).sum();
-    Some(squares / freedom)
+    Some(Fit {
+        left,
+        terms: SURFACE + found.len() * KNOTS,
+    })
 }
 
 /// The terms of the surface; those of strips are nought.

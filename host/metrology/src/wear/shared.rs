@@ -77,6 +77,9 @@ pub struct PoseEvidence {
 /// Limit of the difference between two captures' mounts that count as the same, in standard uncertainties of the flanks' form.
 const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
 
+/// Standard uncertainties of the stages by which a sound datum is off them with a probability of 1 %, either of both ways counted.
+const STAGES_CONTRADICT: f64 = 2.8;
+
 /// Estimate of t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
@@ -89,6 +92,12 @@ pub struct Turn {
     pub both_sides_mm: f64,
     /// Largest change of all flanks alike that the pose may hide, by the stages' positions, mm (standard uncertainty).
     pub both_hidden_mm: f64,
+    /// Difference between the t of the stages and the mean, mm.
+    pub from_stages_mm: f64,
+    /// Standard uncertainty of the t of the stages, mm.
+    pub stages_sigma_mm: f64,
+    /// Median wear of the left and of the right flanks in view as read, mm; infinite where none is in view.
+    pub levels_mm: [f64; 2],
 }
 
 impl Turn {
@@ -97,9 +106,15 @@ impl Turn {
     pub(super) fn of_all(turns: impl Iterator<Item = Self>) -> Self {
         let (mut count, mut sum, mut worst) = (0.0, 0.0, [0.0_f64; 2]);
         let mut both_sides_mm = 0.0;
+        let (mut from_stages_mm, mut stages_sigma_mm, mut levels_mm) = (0.0, 0.0_f64, [0.0; 2]);
         for turn in turns {
             count += 1.0;
             sum += turn.mean_mm;
+            from_stages_mm += turn.from_stages_mm;
+            stages_sigma_mm = stages_sigma_mm.max(turn.stages_sigma_mm);
+            for (level, of) in levels_mm.iter_mut().zip(turn.levels_mm) {
+                *level += of;
+            }
             // NaN stays NaN.
             for (worst, of) in worst.iter_mut().zip([turn.u_mm, turn.both_hidden_mm]) {
                 if of > *worst || of.is_nan() {
@@ -115,7 +130,24 @@ impl Turn {
             u_mm: worst[0],
             both_sides_mm,
             both_hidden_mm: worst[1],
+            from_stages_mm: from_stages_mm / count,
+            stages_sigma_mm,
+            levels_mm: levels_mm.map(|sum| sum / count),
         }
+    }
+
+    /// Largest loss that this flank may have if both sides of all teeth changed by equal and opposite amounts beside a local loss, mm:
+    /// what the stages say, and one standard uncertainty more. `depth_mm` is its wear depth as read, `u95_mm` the expanded uncertainty of
+    /// that. None without a local loss: that a die which shows none has changed so is presumed to be rare.
+    pub(super) fn with_opposite_mm(&self, flank: Flank, depth_mm: f64, u95_mm: f64) -> Option<f64> {
+        let level_mm = match flank {
+            Flank::Left => self.levels_mm[0],
+            Flank::Right => self.levels_mm[1],
+            Flank::Face => return None,
+        };
+        let opposite_mm = flank.sign() * self.from_stages_mm + self.stages_sigma_mm;
+        (depth_mm - level_mm > u95_mm)
+            .then(|| depth_mm + flank.sign() * self.mean_mm + opposite_mm.max(0.0))
     }
 }
 
@@ -188,12 +220,29 @@ impl PoseEvidence {
             let mut mm: Vec<f64> = of_side.map(|f| f.median_mm).collect();
             midpoint_median(&mut mm).unwrap_or(f64::INFINITY)
         };
+        let levels_mm = Flank::BOTH.map(level_mm);
         Turn {
             mean_mm,
             u_mm,
-            both_sides_mm: 0.5 * (level_mm(Flank::Left) + level_mm(Flank::Right)),
+            both_sides_mm: 0.5 * (levels_mm[0] + levels_mm[1]),
             both_hidden_mm: both_mm.hypot(self.both_sigma_mm),
+            from_stages_mm: stages_mm - mean_mm,
+            stages_sigma_mm: sigma_mm,
+            levels_mm,
         }
+    }
+
+    /// Loss that a datum hides by its own wear, mm. The pose that rests on it is compared with the stages, as wear of both sides alike and as
+    /// wear of one side that the other one gained. Differences beyond [`STAGES_CONTRADICT`] standard uncertainties count in full.
+    pub(super) fn datum_hides_mm(&self) -> f64 {
+        let turned_sigma_mm = self.approach_sigma_mm.hypot(self.mount_sigma_mm);
+        let contradicted =
+            |off_mm: f64, sigma_mm: f64| match off_mm.abs() <= STAGES_CONTRADICT * sigma_mm {
+                true => 0.0,
+                false => off_mm.abs(),
+            };
+        contradicted(self.stages_both_mm, self.both_sigma_mm)
+            + contradicted(self.stages_mm, turned_sigma_mm)
     }
 }
 
@@ -541,5 +590,66 @@ mod tests {
         evidence.flanks[1].median_mm = f64::NAN;
         let turn = evidence.turn(None, FORM_MM, FORM_MM);
         assert!(turn.mean_mm.is_nan() && turn.u_mm.is_nan(), "{turn:?}");
+    }
+
+    #[test]
+    fn a_sound_datum_is_held_for_worn_once_in_a_hundred_and_a_worn_one_by_all_that_is_off() {
+        let at = |both_mm: f64, turned_mm: f64| PoseEvidence {
+            stages_both_mm: both_mm,
+            both_sigma_mm: 4e-3,
+            stages_mm: turned_mm,
+            approach_sigma_mm: 6e-3,
+            mount_sigma_mm: 8e-3,
+            ..view([0.0; 2], [0.0; 2], 0.0, 0.0)
+        };
+        const DRAWS: u64 = 40_000;
+        let held = |i: &u64| {
+            at(4e-3 * normal(77, 2 * i), 10e-3 * normal(77, 2 * i + 1)).datum_hides_mm() > 0.0
+        };
+        let rate = (0..DRAWS).filter(held).count() as f64 / DRAWS as f64;
+        // Beyond 2.8 standard deviations is a normal error with a probability of 0.511 %; four standard deviations of the count.
+        let expected = 1.0 - (1.0 - 5.11e-3_f64).powi(2);
+        let chance = 4.0 * (expected / DRAWS as f64).sqrt();
+        assert!((rate - expected).abs() < chance, "{rate} {expected}");
+        assert_eq!(at(20e-3, 0.0).datum_hides_mm(), 20e-3);
+        assert_eq!(at(0.0, -40e-3).datum_hides_mm(), 40e-3);
+        assert!(at(f64::NAN, 0.0).datum_hides_mm().is_nan());
+    }
+
+    /// The die lost 51 µm in all, part of it locally and part as equal and opposite changes that the pose took for a turn.
+    #[test]
+    fn local_loss_and_an_opposite_change_pass_only_where_the_stages_err_by_more_than_one_sigma() {
+        const LIMIT_MM: f64 = 50e-3;
+        for local_mm in [10e-3, 20e-3, 28e-3] {
+            const DRAWS: u64 = 4000;
+            let passes = |i: &u64| {
+                let turn = Turn {
+                    mean_mm: 0.0,
+                    u_mm: 1e-3,
+                    both_sides_mm: 0.0,
+                    both_hidden_mm: 0.0,
+                    from_stages_mm: 51e-3 - local_mm + STAGES_MM * normal(5, *i),
+                    stages_sigma_mm: STAGES_MM,
+                    levels_mm: [0.0; 2],
+                };
+                let together = turn.with_opposite_mm(Flank::Left, local_mm, 4e-3);
+                together.expect("a local loss") <= LIMIT_MM
+            };
+            let rate = (0..DRAWS).filter(passes).count() as f64 / DRAWS as f64;
+            // A normal error below -1 standard deviation has a probability of 15.9 %.
+            assert!(
+                rate < 0.159 + 4.0 * (0.159 / DRAWS as f64).sqrt(),
+                "{local_mm}: {rate}"
+            );
+            assert!(rate > 0.05, "{local_mm}: {rate}");
+        }
+        let level = Turn {
+            levels_mm: [20e-3, 0.0],
+            ..Turn::of_all(std::iter::once(
+                view([0.0; 2], [0.0; 2], 0.0, 0.0).turn(None, FORM_MM, FORM_MM),
+            ))
+        };
+        // Wear of the whole side is no local loss.
+        assert_eq!(level.with_opposite_mm(Flank::Left, 22e-3, 4e-3), None);
     }
 }

@@ -197,7 +197,7 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
             .flat_map(|cell| discs.of_cell(cell))
             .collect();
         let is_textured = is_all_over || window.scatters_beside_scratches(&points, limit_mm);
-        is_textured.then(|| opening(&points, slant))
+        is_textured.then(|| opening(points.iter().map(|p| p.wear_mm).collect(), slant))
     };
     let textured: Vec<Option<Unseen>> = (0..count).into_par_iter().map(of_window).collect();
     // What a window hides lies somewhere in it, and less likely at its rim.
@@ -208,9 +208,8 @@ pub(super) fn of_cells(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
     (0..count).map(of_cell).collect()
 }
 
-/// What a textured window of these points hides: openings as deep at their deepest seen point as light reaches into them.
-fn opening(points: &[&WearSample], slant: f64) -> Unseen {
-    let mut wears: Vec<f64> = points.iter().map(|p| p.wear_mm).collect();
+/// Unseen part of a window whose points have these wears, mm: openings as deep at their deepest seen point as light reaches into them.
+pub(super) fn opening(mut wears: Vec<f64>, slant: f64) -> Unseen {
     let mean_mm = wears.iter().sum::<f64>() / wears.len() as f64;
     let [land_mm, deepest_mm] =
         [LAND_RATIO, DEEPEST_RATIO].map(|ratio| quantile(&mut wears, ratio).unwrap_or(mean_mm));

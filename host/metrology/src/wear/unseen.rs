@@ -4,6 +4,7 @@
 //!  rays that meet the cell, points that lie there ──► shadows: fewer points than rays                    ─┐
 //!  cells deeper than both neighbours              ──► single openings too narrow to look into             ├─► share, depth
 //!  scatter of points within cells (texture.rs)    ──► openings side by side, each narrower than a cell    │
+//!  points below the surface, none above it (one_sided.rs) ──► openings apart from each other              │
 //!  light that no slope explains (brightness.rs)   ──► the same, where their points hardly scatter        ─┘
 //! ```
 //!
@@ -11,11 +12,11 @@
 //! the floor is not seen, depths from nought to w / t come back, evenly, from the far wall. Where they pile up at the deepest,
 //! that is a floor. An opening's hidden floor is supposed [`DEPTH_PER_WIDTH`] times as deep as the opening is wide, and never
 //! deeper than the settings suppose of a hole. What no evidence shows is in docs/method.md: texture of openings narrower than
-//! some 0.03 mm scatters no more than a rough surface does.
+//! some 0.03 mm that leave little of the surface in place scatters evenly, and no more than a rough surface does.
 
 use super::disc::Discs;
 use super::sight::Visibility;
-use super::{brightness, texture};
+use super::{brightness, one_sided, texture};
 
 /// Depth over width that is supposed of an opening whose floor is not seen: scores, pits and V grooves of worn dies are not
 /// steeper; a crack that is narrower than a cell takes up little of a disc.
@@ -83,6 +84,9 @@ pub(super) fn by_geometry(
     let field = discs.field();
     let slant = visibility.map_or(SLANT, Visibility::slant);
     let mut all = texture::of_cells(discs, slant);
+    for (unseen, apart) in all.iter_mut().zip(one_sided::of_cells(discs, slant)) {
+        *unseen = unseen.or(apart);
+    }
     let reached_mm = |cells: &[usize], level_mm: f64| reached_mm(discs, cells, level_mm, scale);
     for (unseen, groove) in all.iter_mut().zip(field.grooves(slant, scale, reached_mm)) {
         *unseen = unseen.or(groove);

@@ -11,7 +11,7 @@ use flankscope_tests::die::{Fine, Place, bore};
 use super::{Family, LIMIT_UM};
 use crate::setup::FLANKS_UM;
 use crate::stand::Stand;
-use crate::structure::{Plan, Section, Structure, cut, profile_mm};
+use crate::structure::{Plan, Section, Structure, cut, cut_into, profile_mm};
 
 /// Greatest depth of an opening, mm: the gap to the opposite flank is 1.5 mm wide.
 const DEEPEST_MM: f64 = 0.4;
@@ -96,6 +96,10 @@ pub(super) fn die(family: Family, random: &mut Random, stand: &Stand) -> Die {
         Family::Hairlines => hairlines(random, stand),
         Family::Rough => rough(random, stand),
         Family::Class7 => class7(random, stand),
+        Family::Scoring => on_wear(random, stand, scoring),
+        Family::PitRows => on_wear(random, stand, pit_rows),
+        Family::WornDatum => worn_datum(random),
+        Family::OppositeAndLocal => opposite_and_local(random, stand),
     }
 }
 
@@ -148,6 +152,149 @@ fn structured(
     }
 }
 
+/// A structure all over each judged flank, on wear that is even or slopes along the profile.
+fn on_wear(
+    random: &mut Random,
+    stand: &Stand,
+    draw: impl Fn(&mut Random, Rectangle) -> Structure,
+) -> Die {
+    let judged = stand.judged;
+    let flanks = stand.flanks();
+    let cuts = flanks.map(|id| (id, draw(random, judged)));
+    let bases = flanks.map(|_| {
+        let even_um = match chance(random, 50.0) {
+            true => 0.0,
+            false => random.between(0.0, 45.0),
+        };
+        let slope_um_per_mm = match chance(random, 70.0) {
+            true => 0.0,
+            false => random.between(-20.0, 20.0),
+        };
+        [even_um, slope_um_per_mm].map(|um| 1e-3 * um)
+    });
+    let middle_mm = 0.5 * (judged.profile_mm[0] + judged.profile_mm[1]);
+    let base_mm =
+        |side: usize, profile_mm: f64| bases[side][0] + bases[side][1] * (profile_mm - middle_mm);
+    let gear = stand.gear();
+    let mesh = cut_into(gear, &cuts, |at| {
+        let (tooth, flank) = (at.tooth, at.flank);
+        let side = flanks.iter().position(|id| *id == FlankId { tooth, flank });
+        side.map_or(0.0, |side| base_mm(side, profile_mm(gear, at)))
+    });
+    let truths_um = [0, 1].map(|side| {
+        let structure = cuts[side].1;
+        let raster_mm = (structure.width_mm / 8.0).max(4e-3);
+        largest_mean_um(judged, stand.disc_area_mm2, raster_mm, |profile, height| {
+            base_mm(side, profile) + structure.loss_mm(profile, height)
+        })
+    });
+    let words = [0, 1].map(|side| {
+        let (of, [even, slope]) = (cuts[side].1, bases[side]);
+        format!(
+            "{:?} {:.3} mm wide every {:.3}, {:.0} um deep on {:.0} um and {:.0} um/mm",
+            of.plan,
+            of.width_mm,
+            of.pitch_mm.unwrap_or(f64::NAN),
+            1e3 * of.depth_mm,
+            1e3 * even,
+            1e3 * slope
+        )
+    });
+    Die {
+        what: words.join(" | "),
+        mesh,
+        truths_um: Some(truths_um),
+        beside: None,
+    }
+}
+
+fn scoring(random: &mut Random, judged: Rectangle) -> Structure {
+    let askew = match chance(random, 50.0) {
+        true => 0.0,
+        false => random.between(-10.0, 10.0).to_radians(),
+    };
+    let angle = match chance(random, 30.0) {
+        true => random.between(0.0, PI),
+        false => askew,
+    };
+    // Oblique ones are cut equally finely along and across: narrower ones would need too large a mesh.
+    let finest_mm = if angle == 0.0 { 0.02 } else { 0.03 };
+    let width_mm = log_between(random, finest_mm, 0.12);
+    let pitch_mm = width_mm * log_between(random, 1.2, 10.0);
+    Structure {
+        plan: Plan::Line(angle),
+        section: Section::Flat,
+        width_mm,
+        pitch_mm: Some(pitch_mm),
+        depth_mm: DEEPEST_MM.min(width_mm * random.between(1.0, 10.0)),
+        at_mm: [
+            judged.profile_mm[0] + random.uniform() * pitch_mm,
+            judged.height_mm[0],
+        ],
+        within: judged,
+    }
+}
+
+fn pit_rows(random: &mut Random, judged: Rectangle) -> Structure {
+    let width_mm = log_between(random, 0.03, 0.08);
+    let pitch_mm = width_mm * random.between(1.05, 2.0);
+    Structure {
+        plan: Plan::Rows(width_mm * random.between(1.5, 6.0)),
+        section: Section::Flat,
+        width_mm,
+        pitch_mm: Some(pitch_mm),
+        depth_mm: DEEPEST_MM.min(width_mm * random.between(3.0, 10.0)),
+        at_mm: [
+            judged.profile_mm[0] + random.uniform() * pitch_mm,
+            judged.height_mm[0] + random.uniform() * pitch_mm,
+        ],
+        within: judged,
+    }
+}
+
+fn worn_datum(random: &mut Random) -> Die {
+    let worn_um = random.between(30.0, 70.0);
+    let other_um = random.between(-20.0, worn_um);
+    let is_left = chance(random, 50.0);
+    let mesh = by_flank(|id| match (id.flank == Flank::Left) == is_left {
+        true => worn_um,
+        false => other_um,
+    });
+    Die {
+        what: format!(
+            "one side of all teeth and its band worn {worn_um:.0}, the other {other_um:.0}"
+        ),
+        mesh,
+        truths_um: None,
+        beside: None,
+    }
+}
+
+fn opposite_and_local(random: &mut Random, stand: &Stand) -> Die {
+    let opposite_um = random.between(10.0, 45.0);
+    let target_um = random.between(LIMIT_UM + 1.0, 70.0);
+    let is_left = chance(random, 50.0);
+    let [low, high] = stand.judged.height_mm;
+    let middle_mm = random.between(low + 1.0, high - 1.0);
+    let tooth = stand.place.tooth;
+    let worn = |at: Place| (at.flank == Flank::Left) == is_left;
+    let loss = |at: Place| {
+        let local = at.tooth == tooth && at.height_mm < middle_mm;
+        1e-3 * match (worn(at), local) {
+            (true, true) => target_um,
+            (true, false) => opposite_um,
+            (false, _) => -opposite_um,
+        }
+    };
+    let fine = stand.flanks().map(|id| whole(id, stand.judged, 0.1));
+    Die {
+        what: format!("opposite {opposite_um:.0}, together {target_um:.0} below {middle_mm:.1} mm"),
+        mesh: bore(loss, &fine),
+        truths_um: None,
+        beside: None,
+    }
+}
+
 fn section(random: &mut Random) -> Section {
     match (3.0 * random.uniform()) as u32 {
         0 => Section::Flat,
@@ -174,7 +321,7 @@ fn texture(random: &mut Random, judged: Rectangle) -> Structure {
     // Wider pits: the mesh is equally fine along and across.
     let finest_mm = match plan {
         Plan::Line(angle) if angle == 0.0 || angle == FRAC_PI_2 => 0.03,
-        Plan::Line(_) | Plan::Pit => 0.04,
+        Plan::Line(_) | Plan::Pit | Plan::Rows(_) => 0.04,
     };
     let width_mm = log_between(random, finest_mm, 0.11);
     let pitch_mm = width_mm * random.between(1.1, 2.2);
@@ -210,7 +357,7 @@ fn opening(random: &mut Random, judged: Rectangle) -> Structure {
     };
     let width_mm = match plan {
         Plan::Line(_) => log_between(random, 0.08, 0.35),
-        Plan::Pit => log_between(random, 0.25, 0.8),
+        Plan::Pit | Plan::Rows(_) => log_between(random, 0.25, 0.8),
     };
     // Anywhere, across the rim too: draws that kept away from it once hid that the verdict did not look there.
     let at_mm = [judged.profile_mm, judged.height_mm].map(|[low, high]| random.between(low, high));

@@ -106,6 +106,7 @@ struct Refusals {
     hidden: bool,
     detection: bool,
     disagreement: bool,
+    opposite: bool,
     pose: bool,
     tip: bool,
 }
@@ -116,6 +117,7 @@ impl Refusals {
         hidden: true,
         detection: true,
         disagreement: true,
+        opposite: true,
         pose: true,
         tip: true,
     };
@@ -266,6 +268,19 @@ fn blind(
             limit_um: allowed_um,
         });
     }
+    if let Some(together_mm) = figures.with_opposite_mm
+        && *verdict == Verdict::Go
+        && on.opposite
+    {
+        let (together_um, limit_um) = (1e3 * together_mm + guard_um, limits.wear.limit_um);
+        let is_below = together_um <= limit_um;
+        if !is_below {
+            return Some(Reason::Opposite {
+                together_um,
+                limit_um,
+            });
+        }
+    }
     let detects_um = 1e3 * wear.detection_limit_mm();
     let detects = detects_um < limits.wear.warn_um;
     if !detects && on.detection {
@@ -378,6 +393,7 @@ mod tests {
                 both_sigma_mm: 0.0,
                 mount_mm: [0.0; 3],
             })),
+            datum_hides_mm: 0.0,
             form_scatter_mm: 0.0,
             others_form: 0.0,
             temperature_mm: 0.0,
@@ -389,7 +405,7 @@ mod tests {
     fn switching_a_refusal_off_lets_something_pass() {
         assert_eq!(judge(&sound(), &limits()).verdict, Verdict::Go);
         let all = Refusals::ALL;
-        let cases: [(&str, Refusals, Spoil); 6] = [
+        let cases: [(&str, Refusals, Spoil); 7] = [
             (
                 "coverage",
                 Refusals {
@@ -430,6 +446,14 @@ mod tests {
             ("leakage", Refusals { pose: false, ..all }, |w| {
                 w.sensitivity = leaking(0.6)
             }),
+            (
+                "leakage",
+                Refusals {
+                    opposite: false,
+                    ..all
+                },
+                |w| judged_of(w).with_opposite_mm = Some(0.051),
+            ),
             ("tip_unseen", Refusals { tip: false, ..all }, |w| {
                 w.tip = None
             }),

@@ -29,6 +29,8 @@ pub struct PoseSensitivity {
     pub leakage: Leakage,
     /// Evidence of the view about its own pose's turn about the axis; none where the pose rests on a datum that does not wear.
     pub evidence: Option<Arc<PoseEvidence>>,
+    /// Loss that the datum under the pose hides by its own wear, mm: what the stages contradict of it; zero without a datum of bands.
+    pub datum_hides_mm: f64,
     /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only the settings'
     /// as-built form is known.
     pub form_scatter_mm: f64,

@@ -168,6 +168,7 @@ impl ScanSensitivity<'_> {
         Some(PoseSensitivity {
             leakage,
             evidence: Some(Arc::clone(self.evidence)),
+            datum_hides_mm: 0.0,
             form_scatter_mm: self.form_scatter_mm,
             // Every other flank in view passes on as much as this one.
             others_form: leakage.uniform * (worst.flanks.saturating_sub(1) as f64).sqrt(),

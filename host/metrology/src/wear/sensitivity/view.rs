@@ -108,7 +108,8 @@ impl FittedView<'_> {
         };
         let answer = response.answer(|i| grown(&contacts[i]));
         let places = self.places;
-        // Where the pose rests on a datum, no turn can share wear between the sides.
+        // A pose on a datum leaves no turn that shares wear between the sides, unless the datum wore.
+        let mut datum_hides_mm = 0.0;
         let (evidence, others): (_, Vec<FormPart>) = match self.features {
             Features::Gear(_) if self.datum_bands_mm.is_empty() => {
                 let seen = self.seen(places);
@@ -118,7 +119,10 @@ impl FittedView<'_> {
                     seen.into_keys().map(FormPart::whole).collect(),
                 )
             }
-            Features::Gear(_) => (None, self.parts_of_bands()),
+            Features::Gear(_) => {
+                datum_hides_mm = self.evidence(tooth, &self.seen(places)).datum_hides_mm();
+                (None, self.parts_of_bands())
+            }
             Features::Patches(_) => (None, self.keys().into_iter().map(FormPart::whole).collect()),
         };
         // Change of the pose by a unit error in the form of each other flank.
@@ -160,6 +164,7 @@ impl FittedView<'_> {
             PoseSensitivity {
                 leakage,
                 evidence: evidence.clone(),
+                datum_hides_mm,
                 form_scatter_mm: 0.0,
                 others_form: squares.sqrt(),
                 temperature_mm: self.expansion.map_or(0.0, |of| mean(sum).abs() * of.u_k),
