@@ -212,7 +212,7 @@ impl Args {
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
         let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
             (Some(cad), _) => {
-                let Cad { mesh, orientation } = cad.load(&self.common)?;
+                let Cad { mesh, .. } = cad.load(&self.common)?;
                 let sampled = sampling::sample(&mesh, MOST_PICK_POINTS, SEED);
                 (&cad.path, sampled.with_context(|| cad.trouble())?)
             }
@@ -245,7 +245,7 @@ impl Args {
     }
 
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
-        let Cad { mesh, .. } = cad.load(&self.common)?;
+        let Cad { mesh, orientation } = cad.load(&self.common)?;
         let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
         let article = self.article.load(SEED)?;
         let initial = match article.first_pose {

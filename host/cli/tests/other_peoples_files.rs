@@ -321,10 +321,10 @@ fn bodies_that_overlap_have_the_sign_of_their_union() {
         .lines()
         .map(|line| line.trim().parse().unwrap())
         .collect();
-    let got = &column.unwrap().values;
+    let got: Vec<f64> = column.unwrap().values().collect();
     assert_eq!(got.len(), truth.len());
     for (got, truth) in got.iter().zip(truth) {
         // Six decimals in the cloud's file, single precision in the answer's.
-        assert!((f64::from(*got) - truth).abs() < 2e-6, "{got} {truth}");
+        assert!((got - truth).abs() < 2e-6, "{got} {truth}");
     }
 }

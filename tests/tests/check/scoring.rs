@@ -166,4 +166,20 @@ fn equal_and_opposite_changes_beside_a_local_loss_are_never_passed() {
         let run = inspect_full(&["--teeth", "40", "--die-mesh", &die, "--seed", seed]);
         assert_not_passed(seed, &run);
     }
+    let baseline = folder.path().join("new.json");
+    let baseline = baseline.to_str().unwrap();
+    let new = inspect_full(&[
+        "--seed",
+        "919",
+        "--teeth",
+        "40",
+        "--record-baseline",
+        baseline,
+    ]);
+    assert_eq!(new.code, 0, "{}", new.json["reason"]);
+    for seed in at_least(2, &["920", "921", "922", "923", "924", "925"]) {
+        let since = ["--teeth", "40", "--die-mesh", &die, "--baseline", baseline];
+        let run = inspect_full(&[&since[..], &["--seed", seed]].concat());
+        assert_not_passed(seed, &run);
+    }
 }

@@ -107,6 +107,11 @@ impl Default for WearSettings {
     }
 }
 
+/// Standard uncertainties of the stages within which equal and opposite changes are held for possible beside a local loss, against the
+/// CAD and since a baseline. The second is the 95 % quantile; against the CAD, where mount and form as built count, too, as much would
+/// refuse one light local loss in five.
+const OPPOSITE_SIGMAS: [f64; 2] = [1.0, 1.645];
+
 impl WearSettings {
     /// Edge of a cell, mm: a fifth of the disc's diameter.
     pub fn cell_mm(&self) -> f64 {
@@ -438,10 +443,11 @@ impl FlankWear {
                 .map(|cell| with_systematic(cell.value + moved_mm, cell.u)),
             hidden_mm: read.hidden_mm.map(|hidden| hidden + moved_mm),
             with_opposite_mm: turn.and_then(|turn: Turn| {
+                let depth_mm = [read.depth_mm.value, COVERAGE_95 * budget.total_mm()];
                 turn.with_opposite_mm(
                     self.flank,
-                    read.depth_mm.value,
-                    COVERAGE_95 * budget.total_mm(),
+                    depth_mm,
+                    OPPOSITE_SIGMAS[usize::from(*since_baseline)],
                 )
             }),
             turn,

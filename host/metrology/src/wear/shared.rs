@@ -137,15 +137,20 @@ impl Turn {
     }
 
     /// Largest loss that this flank may have if both sides of all teeth changed by equal and opposite amounts beside a local loss, mm:
-    /// what the stages say, and one standard uncertainty more. `depth_mm` is its wear depth as read, `u95_mm` the expanded uncertainty of
-    /// that. None without a local loss: that a die which shows none has changed so is presumed to be rare.
-    pub(super) fn with_opposite_mm(&self, flank: Flank, depth_mm: f64, u95_mm: f64) -> Option<f64> {
+    /// what the stages say, and `sigmas` of their standard uncertainties more. `depth_mm` is its wear depth as read, `u95_mm` the expanded
+    /// uncertainty of that. None without a local loss: that a die which shows none has changed so is presumed to be rare.
+    pub(super) fn with_opposite_mm(
+        &self,
+        flank: Flank,
+        [depth_mm, u95_mm]: [f64; 2],
+        sigmas: f64,
+    ) -> Option<f64> {
         let level_mm = match flank {
             Flank::Left => self.levels_mm[0],
             Flank::Right => self.levels_mm[1],
             Flank::Face => return None,
         };
-        let opposite_mm = flank.sign() * self.from_stages_mm + self.stages_sigma_mm;
+        let opposite_mm = flank.sign() * self.from_stages_mm + sigmas * self.stages_sigma_mm;
         (depth_mm - level_mm > u95_mm)
             .then(|| depth_mm + flank.sign() * self.mean_mm + opposite_mm.max(0.0))
     }
@@ -632,7 +637,7 @@ mod tests {
                     stages_sigma_mm: STAGES_MM,
                     levels_mm: [0.0; 2],
                 };
-                let together = turn.with_opposite_mm(Flank::Left, local_mm, 4e-3);
+                let together = turn.with_opposite_mm(Flank::Left, [local_mm, 4e-3], 1.0);
                 together.expect("a local loss") <= LIMIT_MM
             };
             let rate = (0..DRAWS).filter(passes).count() as f64 / DRAWS as f64;
@@ -650,6 +655,9 @@ mod tests {
             ))
         };
         // Wear of the whole side is no local loss.
-        assert_eq!(level.with_opposite_mm(Flank::Left, 22e-3, 4e-3), None);
+        assert_eq!(
+            level.with_opposite_mm(Flank::Left, [22e-3, 4e-3], 1.0),
+            None
+        );
     }
 }
