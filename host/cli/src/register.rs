@@ -6,7 +6,6 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use flankscope_metrology::cloud_surface::CloudSurface;
-use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::io::points::Format;
@@ -15,6 +14,7 @@ use flankscope_metrology::registration::{
     register_by_article,
 };
 use flankscope_metrology::surface::{Surface, sampling};
+use flankscope_metrology::tool::gear_in_cad::find_gear;
 use flankscope_metrology::verdict::Code;
 use flankscope_report::{MOST_PICK_POINTS, PickSides, pick_html};
 use serde::Serialize;
@@ -23,7 +23,7 @@ use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::{
     Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
 };
-use crate::output::{Common, Outcome, write_whole};
+use crate::output::{Common, Outcome, say, write_whole};
 
 /// Tolerance of the CAD's periodicity for poses one pitch apart to count as alike, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
@@ -257,13 +257,19 @@ impl Args {
         };
         let loaded = Instant::now();
         let surface = Surface::oriented(&mesh, &orientation).with_context(|| cad.trouble())?;
-        // By default teeth point inwards; a body of revolution inside the CAD shows that they point outwards.
-        let found = || {
-            [GearKind::Internal, GearKind::External]
-                .into_iter()
-                .find_map(|kind| detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM, kind))
-        };
-        let options = self.options(initial, self.teeth.or_else(found));
+        let found = || detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
+        let teeth = self.teeth.or_else(found);
+        if teeth.is_none()
+            && let Ok((gear, _)) = find_gear(&mesh)
+        {
+            say(&format!(
+                "note: CAD mesh {}: it shows a gear of {} teeth about another axis than z, so neighbouring teeth are not told apart; \
+                 `flankscope init` writes the CAD with its axis along z",
+                cad.path.display(),
+                gear.gear.teeth
+            ));
+        }
+        let options = self.options(initial, teeth);
         let prepared = Instant::now();
         let found = match self.method {
             Method::Surface => register(&surface, &cloud.points, None, &options),

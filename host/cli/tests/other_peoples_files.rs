@@ -328,3 +328,27 @@ fn bodies_that_overlap_have_the_sign_of_their_union() {
         assert!((got - truth).abs() < 2e-6, "{got} {truth}");
     }
 }
+
+/// The guard against the neighbouring tooth goes by the number of flanks, not by the facets of a bore.
+#[test]
+fn the_teeth_of_an_external_gear_are_counted() {
+    let Some(case) = flankscope_test_requisites::shared("cases/14-gear-one-pitch-off") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| case.join(name).to_str().unwrap().to_owned();
+    for cad in ["gear24_bore16.stl", "gear24_no_bore.stl"] {
+        let cloud = path("whole_part_turned_9deg.xyz");
+        let args = [
+            "register",
+            "--cad",
+            &path(cad),
+            "--cloud",
+            &cloud,
+            "--json",
+            "-",
+        ];
+        let report = json(&flankscope(folder.path(), &args));
+        assert_eq!(report["teeth"], 24, "{cad}");
+    }
+}

@@ -3,7 +3,7 @@
 mod support;
 
 use flankscope_foundation::rigid::Rigid;
-use flankscope_metrology::gear::GearKind;
+use flankscope_gear_cad::{GearKind, GearSpec, Meshing};
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
     Options, Prior, Registration, RegistrationFailure, Status, detect_teeth, register,
@@ -350,10 +350,54 @@ fn the_number_of_teeth_is_found() {
 
 fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
     let surface = Surface::new(&mesh).unwrap();
-    assert_eq!(
-        detect_teeth(&mesh, &surface, 0.02, GearKind::Internal),
-        Some(84)
-    );
+    assert_eq!(detect_teeth(&mesh, &surface, 0.02), Some(84));
+}
+
+/// Internal and external gears with bores of other numbers of facets, some of them with a keyway.
+#[test]
+fn the_number_of_teeth_is_that_of_the_flanks_whatever_the_body_is() {
+    for (number, teeth) in [12, 17, 24, 36, 60, 101].into_iter().enumerate() {
+        for kind in [GearKind::Internal, GearKind::External] {
+            let module_mm = [0.5, 1.0, 2.5][number % 3];
+            let pitch_mm = 0.5 * module_mm * f64::from(teeth);
+            let (inner, outer) = (pitch_mm - module_mm, pitch_mm + module_mm);
+            let (tip_radius_mm, root_radius_mm, body_radius_mm) = match kind {
+                GearKind::Internal => (inner, outer + 0.25 * module_mm, 1.4 * outer),
+                GearKind::External => (outer, inner - 0.25 * module_mm, 0.4 * inner),
+            };
+            let gear = GearSpec {
+                kind,
+                teeth,
+                module_mm,
+                pressure_angle_rad: 20f64.to_radians(),
+                tip_radius_mm,
+                root_radius_mm,
+                root_fillet_radius_mm: 0.0,
+                turned_rad: 0.1,
+                body_radius_mm,
+                height_mm: [0.0, 6.0 * module_mm],
+            };
+            let solid = gear.mesh(&Meshing::default()).unwrap();
+            let mut mesh = TriMesh {
+                vertices: solid.vertices,
+                triangles: solid.triangles,
+            };
+            let count = |mesh: &TriMesh| detect_teeth(mesh, &Surface::new(mesh).unwrap(), 0.02);
+            assert_eq!(count(&mesh), Some(teeth), "{kind:?} {teeth}");
+            // The walls of a keyway through the bore, as a body of its own.
+            let (wide, far) = (0.1 * body_radius_mm, body_radius_mm);
+            for wall in [-wide, wide] {
+                let first = mesh.vertices.len() as u32;
+                for (x, z) in [(0.0, 0.0), (far, 0.0), (far, module_mm), (0.0, module_mm)] {
+                    mesh.vertices.push([x, wall, z]);
+                }
+                for corners in [[0, 1, 2], [0, 2, 3]] {
+                    mesh.triangles.push(corners.map(|corner| first + corner));
+                }
+            }
+            assert_eq!(count(&mesh), Some(teeth), "{kind:?} {teeth} with a keyway");
+        }
+    }
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Rotational symmetry of a surface about the tool axis: its number of teeth.
 
-use flankscope_foundation::order::median;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
 use nalgebra::{Rotation3, Vector3};
 
-use crate::gear::GearKind;
 use crate::io::mesh::TriMesh;
 use crate::surface::Surface;
 use flankscope_foundation::random::uniform;
@@ -11,49 +11,47 @@ use flankscope_foundation::random::uniform;
 /// Most teeth that are looked for.
 const MOST_TEETH: u32 = 400;
 const PROBES: u64 = 64;
+/// Probes that may miss: a keyway or a slot repeats less often than the teeth.
+const MOST_MISSES: usize = 6;
 
-/// The largest n of at least 3 for which the surface turned by 2 pi / n about z falls onto itself within `tolerance_mm`
-/// everywhere at 64 probes; none when there is no such n. A body of revolution repeats at any angle and has no teeth: none.
-/// `kind` says on which side of the body teeth are looked for.
-pub fn detect_teeth(
-    mesh: &TriMesh,
-    surface: &Surface,
-    tolerance_mm: f64,
-    kind: GearKind,
-) -> Option<u32> {
-    let probes = toothed_probes(mesh, kind);
+/// The largest n of at least 3 for which the flanks of the surface turned by 2 pi / n about z fall onto it within `tolerance_mm` at
+/// nearly all of 64 probes; none when there is no such n. A body of revolution has no flanks and no teeth.
+pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Option<u32> {
+    let probes = flank_probes(mesh)?;
     let fits = |angle: f64| {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
-        probes.iter().all(|&probe| {
-            let turned: [f64; 3] = (turn * Vector3::from(probe)).into();
-            surface.closest(turned).signed_distance_mm.abs() <= tolerance_mm
-        })
+        let is_off = |probe: &&Vector3<f64>| {
+            let turned: [f64; 3] = (turn * **probe).into();
+            surface.closest(turned).signed_distance_mm.abs() > tolerance_mm
+        };
+        probes.iter().filter(is_off).nth(MOST_MISSES).is_none()
     };
-    // Irrational parts of a turn tell a body of revolution.
+    // Irrational parts of a turn tell what repeats at any angle.
     if fits(0.123_456_7) && fits(0.765_432_1) {
         return None;
     }
-    (3..=MOST_TEETH)
-        .rev()
-        .find(|&n| fits(std::f64::consts::TAU / f64::from(n)))
+    (3..=MOST_TEETH).rev().find(|&n| fits(TAU / f64::from(n)))
 }
 
-/// Corner points spread over the half of the mesh's corners that the teeth are in: the one nearer to the axis of an internal
-/// gear, the other one of an external gear. The body's wall would fit any turn, or as many as it has facets.
-fn toothed_probes(mesh: &TriMesh, kind: GearKind) -> Vec<[f64; 3]> {
-    let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
-    let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
-    let middle = median(&mut radii).unwrap_or(0.0);
-    let toothed: Vec<[f64; 3]> = mesh
-        .vertices
-        .iter()
-        .filter(|v| match kind {
-            GearKind::Internal => radius(v) <= middle,
-            GearKind::External => radius(v) >= middle,
-        })
-        .copied()
-        .collect();
-    (0..PROBES)
-        .map(|i| toothed[(uniform(1, i) * toothed.len() as f64) as usize])
-        .collect()
+/// Middles of facets that face around the axis rather than to it or along it, drawn by area; none if there are none. Lands, bores and
+/// end faces would fit any turn, or as many as they have facets.
+fn flank_probes(mesh: &TriMesh) -> Option<Vec<Vector3<f64>>> {
+    let mut total_mm2 = 0.0;
+    let mut flanks: Vec<(f64, Vector3<f64>)> = Vec::new();
+    for index in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(index).map(Vector3::from);
+        let (middle, normal) = ((a + b + c) / 3.0, (b - a).cross(&(c - a)));
+        let arm = middle.x * normal.y - middle.y * normal.x;
+        let radius = middle.x.hypot(middle.y);
+        if arm.abs() > FRAC_1_SQRT_2 * radius * normal.norm() {
+            total_mm2 += 0.5 * normal.norm();
+            flanks.push((total_mm2, middle));
+        }
+    }
+    let probe = |number| {
+        let at_mm2 = uniform(1, number) * total_mm2;
+        let place = flanks.partition_point(|&(sum_mm2, _)| sum_mm2 <= at_mm2);
+        flanks.get(place).map(|&(_, middle)| middle)
+    };
+    (0..PROBES).map(probe).collect()
 }

@@ -239,7 +239,7 @@ pub(super) fn against_mesh(
     mesh: &TriMesh,
     surface: &Surface,
 ) -> Result<(), ToolError> {
-    if let Some(found) = detect_teeth(mesh, surface, 0.02, gear.kind)
+    if let Some(found) = detect_teeth(mesh, surface, 0.02)
         && found != gear.teeth
     {
         return Err(ToolError::Teeth {

@@ -174,7 +174,7 @@ pub fn find_gear(mesh: &TriMesh) -> Result<(FoundGear, TriMesh), NoGear> {
     let file_facets = facets(&mesh);
     let flanks = OnFlanks::of(&file_facets);
     let kind = flanks.kind(&file_facets);
-    let teeth = detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM, kind);
+    let teeth = detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
     let teeth = teeth.ok_or_else(|| NoGear::NoTeeth {
         axis: axis(),
         tolerance_mm: REPEAT_TOLERANCE_MM,
