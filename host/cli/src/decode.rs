@@ -200,7 +200,25 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         ));
     }
     args.common.write_json(&document)?;
-    Ok(Outcome::Done)
+    if document.count > 0 {
+        return Ok(Outcome::Done);
+    }
+    say(&format!(
+        "no cell has a point{}; docs/formats/decode.md says what each word of `rejected` (--json) means",
+        most_rejected(&document.rejected)
+    ));
+    Ok(Outcome::INDETERMINATE)
+}
+
+/// Why most cells have no point, as the end of a sentence; empty if nothing was rejected.
+fn most_rejected(rejected: &Rejected) -> String {
+    let counts = serde_json::to_value(rejected).unwrap_or_default();
+    let counts = counts.as_object().into_iter().flatten();
+    let counts = counts.filter_map(|(word, count)| Some((word, count.as_u64()?)));
+    match counts.max_by_key(|&(_, count)| count) {
+        Some((word, count)) if count > 0 => format!(": {count} of them are `{word}`"),
+        _ => String::new(),
+    }
 }
 
 /// A noise ratio above this is reported: an imprecise sensor description explains about a tenth.

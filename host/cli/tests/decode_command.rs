@@ -337,11 +337,9 @@ impl Scene {
 fn a_field_without_fringes_is_an_empty_cloud_with_reasons() {
     let scene = Scene::new();
     let output = scene.run(&["--json", "-"]);
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("768 of them are `low_contrast`"), "{told}");
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(document["count"], 0);
     assert_eq!(document["rejected"]["low_contrast"], 32 * 24);

@@ -357,7 +357,9 @@ fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
 #[test]
 fn the_number_of_teeth_is_that_of_the_flanks_whatever_the_body_is() {
     for (number, teeth) in [12, 17, 24, 36, 60, 101].into_iter().enumerate() {
-        for kind in [GearKind::Internal, GearKind::External] {
+        // Internal teeth of fewer than 34 end within their base circle.
+        let kinds = [GearKind::External, GearKind::Internal];
+        for kind in kinds.into_iter().take(if teeth < 34 { 1 } else { 2 }) {
             let module_mm = [0.5, 1.0, 2.5][number % 3];
             let pitch_mm = 0.5 * module_mm * f64::from(teeth);
             let (inner, outer) = (pitch_mm - module_mm, pitch_mm + module_mm);
