@@ -180,6 +180,14 @@ fn equal_and_opposite_changes_beside_a_local_loss_are_never_passed() {
     for seed in at_least(2, &["920", "921", "922", "923", "924", "925"]) {
         let since = ["--teeth", "40", "--die-mesh", &die, "--baseline", baseline];
         let run = inspect_full(&[&since[..], &["--seed", seed]].concat());
-        assert_not_passed(seed, &run);
+        let word = run.flank(40, "left");
+        println!("since a baseline, {seed}: {word:?}: {}", run.json["reason"]);
+        // A change of 26 µm is 3.2 standard uncertainties of two approaches: what the stages err by may leave less than two of them in
+        // one case of nine, and then it warns.
+        assert!(
+            word.is_some_and(|word| word != "go"),
+            "{seed}: {}",
+            run.json["reason"]
+        );
     }
 }

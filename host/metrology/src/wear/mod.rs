@@ -47,7 +47,7 @@ pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use sensitivity::PoseSensitivity;
-pub use shared::{ANY_POSE_MM, PoseEvidence, SeenFlank, Turn};
+pub use shared::{ANY_POSE_MM, OppositeChange, PoseEvidence, SeenFlank, Turn};
 pub use sight::Sight;
 use sight::Visibility;
 
@@ -209,9 +209,9 @@ pub struct JudgedFigures {
     pub hidden_mm: Option<f64>,
     /// Turn about the axis that the pose leaves open; none where no evidence was given.
     pub turn: Option<Turn>,
-    /// Largest loss if equal and opposite changes of both sides of all teeth add to a local one, as far as the stages allow, mm; none
+    /// Largest loss if equal and opposite changes of both sides of all teeth add to a local one, as far as the stages allow; none
     /// where no local loss is seen.
-    pub with_opposite_mm: Option<f64>,
+    pub with_opposite: Option<OppositeChange>,
 }
 
 impl JudgedFigures {
@@ -442,7 +442,7 @@ impl FlankWear {
                 .cell_mm
                 .map(|cell| with_systematic(cell.value + moved_mm, cell.u)),
             hidden_mm: read.hidden_mm.map(|hidden| hidden + moved_mm),
-            with_opposite_mm: turn.and_then(|turn: Turn| {
+            with_opposite: turn.and_then(|turn: Turn| {
                 let depth_mm = [read.depth_mm.value, COVERAGE_95 * budget.total_mm()];
                 turn.with_opposite_mm(
                     self.flank,

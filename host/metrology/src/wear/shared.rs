@@ -80,6 +80,18 @@ const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
 /// Standard uncertainties of the stages by which a sound datum is off them with a probability of 1 %, either of both ways counted.
 const STAGES_CONTRADICT: f64 = 2.8;
 
+/// Standard uncertainties of the stages at which they overrule flanks that look sound.
+const STAGES_OVERRULE: f64 = 2.0;
+
+/// Equal and opposite changes of both sides of all teeth that may add to a local loss.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OppositeChange {
+    /// The flank's largest loss with them, mm.
+    pub together_mm: f64,
+    /// The stages contradict the pose in that direction by more than two standard uncertainties.
+    pub is_seen: bool,
+}
+
 /// Estimate of t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
@@ -138,21 +150,24 @@ impl Turn {
 
     /// Largest loss that this flank may have if both sides of all teeth changed by equal and opposite amounts beside a local loss, mm:
     /// what the stages say, and `sigmas` of their standard uncertainties more. `depth_mm` is its wear depth as read, `u95_mm` the expanded
-    /// uncertainty of that. None without a local loss: that a die which shows none has changed so is presumed to be rare.
+    /// uncertainty of that. None without a local loss: a die that shows none has rarely changed so, it is presumed.
     pub(super) fn with_opposite_mm(
         &self,
         flank: Flank,
         [depth_mm, u95_mm]: [f64; 2],
         sigmas: f64,
-    ) -> Option<f64> {
+    ) -> Option<OppositeChange> {
         let level_mm = match flank {
             Flank::Left => self.levels_mm[0],
             Flank::Right => self.levels_mm[1],
             Flank::Face => return None,
         };
-        let opposite_mm = flank.sign() * self.from_stages_mm + sigmas * self.stages_sigma_mm;
-        (depth_mm - level_mm > u95_mm)
-            .then(|| depth_mm + flank.sign() * self.mean_mm + opposite_mm.max(0.0))
+        let stages_mm = flank.sign() * self.from_stages_mm;
+        let opposite_mm = stages_mm + sigmas * self.stages_sigma_mm;
+        (depth_mm - level_mm > u95_mm).then(|| OppositeChange {
+            together_mm: depth_mm + flank.sign() * self.mean_mm + opposite_mm.max(0.0),
+            is_seen: stages_mm > STAGES_OVERRULE * self.stages_sigma_mm,
+        })
     }
 }
 
@@ -638,7 +653,7 @@ mod tests {
                     levels_mm: [0.0; 2],
                 };
                 let together = turn.with_opposite_mm(Flank::Left, [local_mm, 4e-3], 1.0);
-                together.expect("a local loss") <= LIMIT_MM
+                together.expect("a local loss").together_mm <= LIMIT_MM
             };
             let rate = (0..DRAWS).filter(passes).count() as f64 / DRAWS as f64;
             // A normal error below -1 standard deviation has a probability of 15.9 %.

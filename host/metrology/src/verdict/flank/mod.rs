@@ -10,8 +10,8 @@ pub use in_view::judge_in_view;
 use flankscope_foundation::display::Number;
 
 use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
-use crate::wear::FlankWear;
 use crate::wear::leakage::RECOVERABLE;
+use crate::wear::{FlankWear, OppositeChange};
 
 /// A flank of which less was seen is not judged, whatever a tool file says.
 pub const LEAST_COVERAGE: f64 = 0.5;
@@ -268,11 +268,17 @@ fn blind(
             limit_um: allowed_um,
         });
     }
-    if let Some(together_mm) = figures.with_opposite_mm
-        && *verdict == Verdict::Go
+    // Of a warning only what the stages contradict: that both sides are as the flanks show them is presumed otherwise.
+    let is_asked = |change: &OppositeChange| match verdict {
+        Verdict::Go => true,
+        Verdict::Warn => change.is_seen,
+        _ => false,
+    };
+    if let Some(change) = figures.with_opposite.filter(is_asked)
         && on.opposite
     {
-        let (together_um, limit_um) = (1e3 * together_mm + guard_um, limits.wear.limit_um);
+        let together_um = 1e3 * change.together_mm + guard_um;
+        let limit_um = limits.wear.limit_um;
         let is_below = together_um <= limit_um;
         if !is_below {
             return Some(Reason::Opposite {
@@ -452,7 +458,12 @@ mod tests {
                     opposite: false,
                     ..all
                 },
-                |w| judged_of(w).with_opposite_mm = Some(0.051),
+                |w| {
+                    judged_of(w).with_opposite = Some(OppositeChange {
+                        together_mm: 0.051,
+                        is_seen: false,
+                    });
+                },
             ),
             ("tip_unseen", Refusals { tip: false, ..all }, |w| {
                 w.tip = None
