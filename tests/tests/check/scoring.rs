@@ -150,44 +150,50 @@ fn equal_and_opposite_changes_beside_a_local_loss_are_never_passed() {
         height_mm: CUT_HEIGHT_MM,
         step_mm: [0.1; 2],
     };
-    let mesh = bore(
-        |at| {
-            let is_local = at.tooth == 40 && at.height_mm < 33.0;
-            1e-3 * match (at.flank, is_local) {
-                (Flank::Left, true) => 51.0,
-                (Flank::Left, false) => 26.0,
-                (Flank::Right, _) => -26.0,
-            }
-        },
-        &[fine(40, Flank::Left)],
-    );
-    let die = write_bore(folder.path(), &mesh);
+    let die = |opposite_um: f64| {
+        let mesh = bore(
+            |at| {
+                let is_local = at.tooth == 40 && at.height_mm < 33.0;
+                1e-3 * match (at.flank, is_local) {
+                    (Flank::Left, true) => opposite_um + 25.0,
+                    (Flank::Left, false) => opposite_um,
+                    (Flank::Right, _) => -opposite_um,
+                }
+            },
+            &[fine(40, Flank::Left)],
+        );
+        write_bore(folder.path(), &mesh)
+    };
+    let at_limit = die(26.0);
     for seed in at_least(2, &["915", "916", "917", "918"]) {
-        let run = inspect_full(&["--teeth", "40", "--die-mesh", &die, "--seed", seed]);
+        let run = inspect_full(&["--teeth", "40", "--die-mesh", &at_limit, "--seed", seed]);
         assert_not_passed(seed, &run);
     }
     let baseline = folder.path().join("new.json");
     let baseline = baseline.to_str().unwrap();
-    let new = inspect_full(&[
+    let new = [
         "--seed",
         "919",
         "--teeth",
         "40",
         "--record-baseline",
         baseline,
-    ]);
+    ];
+    let new = inspect_full(&new);
     assert_eq!(new.code, 0, "{}", new.json["reason"]);
+    // By design one in twenty passes at the limit itself, where the stages' error happens to hide half of the change; 10 µm beyond it
+    // that takes an error of three standard uncertainties, more than two approaches within ±15 mdeg can have.
+    let beyond = die(36.0);
     for seed in at_least(2, &["920", "921", "922", "923", "924", "925"]) {
-        let since = ["--teeth", "40", "--die-mesh", &die, "--baseline", baseline];
+        let since = [
+            "--teeth",
+            "40",
+            "--die-mesh",
+            &beyond,
+            "--baseline",
+            baseline,
+        ];
         let run = inspect_full(&[&since[..], &["--seed", seed]].concat());
-        let word = run.flank(40, "left");
-        println!("since a baseline, {seed}: {word:?}: {}", run.json["reason"]);
-        // A change of 26 µm is 3.2 standard uncertainties of two approaches: what the stages err by may leave less than two of them in
-        // one case of nine, and then it warns.
-        assert!(
-            word.is_some_and(|word| word != "go"),
-            "{seed}: {}",
-            run.json["reason"]
-        );
+        assert_not_passed(seed, &run);
     }
 }

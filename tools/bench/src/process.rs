@@ -346,7 +346,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     if let Some(every) = asked.checks_every {
         config.devices.press.strokes_per_minute = file.press.strokes_per_minute;
         config.devices.press.open_share = file.press.open_share;
-        config.devices.press.waits = (speed > 1.0).then(|| WaitForHead {
+        config.devices.press.waits = (speed > 1.0).then_some(WaitForHead {
             every,
             patience_us: (HOST_ANSWERS_WITHIN_S * speed * 1e6) as u64,
         });
