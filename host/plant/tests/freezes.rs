@@ -1,8 +1,8 @@
 //! Random schedules of stopped and killed processes, acknowledgements and stepped clocks: no outlet says go of what is stale,
 //! superseded or latched, and no acknowledgement clears a no-go that was not seen.
 //!
-//! The test starts itself as a press that exposes, evaluates for a while, and stores. Eight schedules, 40 where everything runs, or as
-//! many as the argument says: `cargo test -p flankscope-plant --test freezes -- 1000`.
+//! The test starts itself as a press that exposes, evaluates for a while, and stores. Eight schedules, four at a time, or as many as the
+//! argument says, 32 at a time: `cargo test -p flankscope-plant --test freezes -- 1000`.
 
 #[allow(dead_code)]
 mod press;
@@ -19,7 +19,7 @@ use flankscope_foundation::clock::BootTime;
 use flankscope_foundation::date;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::LastExposure;
-use flankscope_test_requisites::{Random, everything};
+use flankscope_test_requisites::Random;
 use flankscope_tests::Killed;
 use press::{Press, inspection};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
@@ -34,8 +34,6 @@ const TICK: Duration = Duration::from_millis(200);
 const SEEN_WITHIN_MS: u64 = 4_000;
 /// Resolution of an age in seconds, and the way of an answer.
 const ANSWER_MS: u64 = 1_000;
-/// Schedules side by side.
-const LANES: usize = 32;
 const GO: u16 = 1;
 const LATCHED: u16 = 1 << 4;
 const TOOLS: [&str; 2] = ["die", "other die"];
@@ -47,8 +45,8 @@ fn main() {
         ["press", folder, state, seed] => {
             check_for_ever(Path::new(folder), Path::new(state), seed.parse().unwrap());
         }
-        [count] if count.parse::<usize>().is_ok() => campaign(count.parse().unwrap()),
-        _ => campaign(if everything() { 40 } else { 8 }),
+        [count] if count.parse::<usize>().is_ok() => campaign(count.parse().unwrap(), 32),
+        _ => campaign(8, 4),
     }
 }
 
@@ -240,7 +238,7 @@ fn start_press(folder: &Path, seed: u64) -> Killed {
     Killed(child.unwrap())
 }
 
-/// What a schedule showed.
+/// Counts of a schedule, and the goes that were wrong.
 #[derive(Debug, Default)]
 struct Seen {
     rounds: usize,
@@ -409,7 +407,7 @@ fn schedule(seed: u64) -> Seen {
     schedule.seen
 }
 
-fn campaign(count: usize) {
+fn campaign(count: usize, lanes: usize) {
     let first = u64::from(std::process::id()) << 20;
     let next = AtomicUsize::new(0);
     let lane = || {
@@ -423,7 +421,7 @@ fn campaign(count: usize) {
         }
     };
     let all: Vec<Seen> = std::thread::scope(|scope| {
-        let lanes: Vec<_> = (0..LANES).map(|_| scope.spawn(lane)).collect();
+        let lanes: Vec<_> = (0..lanes).map(|_| scope.spawn(lane)).collect();
         lanes
             .into_iter()
             .flat_map(|lane| lane.join().unwrap())

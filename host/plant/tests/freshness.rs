@@ -159,7 +159,7 @@ fn acknowledgements_that_race_with_new_no_gos_clear_none_unseen() {
             while !is_over.load(Ordering::Relaxed) {
                 press.check_now("die", 40, Word::NoGo);
                 newest.store(press.made, Ordering::Relaxed);
-                std::thread::sleep(Duration::from_millis(3));
+                std::thread::sleep(Duration::from_millis(10));
             }
         });
         for _ in 0..200 {
@@ -175,7 +175,7 @@ fn acknowledgements_that_race_with_new_no_gos_clear_none_unseen() {
     });
     println!("{} accepted, {refused} refused", accepted.len());
     assert!(!accepted.is_empty() && refused > 0);
-    // What was stored is what was sent, and a no-go above the last accepted number is open.
+    // The stored acknowledgements are those that were accepted, and a no-go above the last one is open.
     let history = run(flankscope()
         .arg("history")
         .arg(station.history())

@@ -113,7 +113,7 @@ fn watch_and_scan_see_the_mesh_too() {
     write(&path, &worn_flank(40, Flank::Right, 0.08).unwrap());
     let mesh = path.to_str().unwrap();
     let mut watch = flankscope();
-    watch.args(["watch", "--quiet", "--json", "-", "--speed", "max"]);
+    watch.args(["watch", "--quiet", "--json", "-", "--speed", "10"]);
     watch.args(["--every", "2", "--cycles", "4", "--teeth", "40"]);
     let watched =
         run(with_small_head(&mut watch, &["--die-mesh", mesh]).stdin(std::process::Stdio::null()));

@@ -193,7 +193,7 @@ fn a_watch_goes_by_the_program_s_poses_from_check_to_check() {
     let station = folder.join("station.toml");
     fs::write(&station, arm(folder, &note, 20.0)).unwrap();
     let mut command = flankscope();
-    command.args(["watch", "--quiet", "--json", "-", "--speed", "max"]);
+    command.args(["watch", "--quiet", "--json", "-", "--speed", "10"]);
     command.args(["--every", "3", "--cycles", "19", "--teeth", "40"]);
     let at = ["--link", "sim", "--station", station.to_str().unwrap()];
     with_small_head(&mut command, &at);

@@ -27,7 +27,7 @@ fn growing_wear_goes_from_go_over_warn_to_a_no_go_that_stays() {
     let arguments = "--every 8 --cycles 60 --teeth 40 --wear-rate 40:left:1.2";
     // Wear between the limits is told from a turn of the die by the neighbours that only the large head shows.
     let result = run(flankscope()
-        .args(["watch", "--quiet", "--json", "-", "--speed", "max"])
+        .args(["watch", "--quiet", "--json", "-", "--speed", "10"])
         .args(arguments.split(' '))
         .stdin(Stdio::null()));
     let shown = shown(&result);

@@ -139,8 +139,7 @@ fn a_no_go_outlives_a_restart_until_it_is_acknowledged() {
         let mut command = flankscope();
         command
             .args([
-                "watch", "--quiet", "--json", "-", "--speed", "max", "--every", "3", "--cycles",
-                "4",
+                "watch", "--quiet", "--json", "-", "--speed", "10", "--every", "3", "--cycles", "4",
             ])
             .args(["--teeth", "40", "--link", "sim", "--tool", small_tool()])
             .args(["--history", file.to_str().unwrap()])

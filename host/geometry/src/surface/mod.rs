@@ -5,7 +5,7 @@
 //! ridges too, where the normal of one face alone misleads. Positive is outside the material.
 //!
 //! Of several closed bodies in one mesh ([`Surface::oriented`]) a point is inside if the winding numbers of all bodies about it sum to
-//! more than nought (Barill et al., ACM Trans. Graph. 37, 43, 2018): a face that lies inside another body is no outside. The distance
+//! more than nought (Barill et al., ACM Trans. Graph. 37, 43, 2018): a face inside another body does not bound the material. The distance
 //! is that to the nearest face of any body, buried or not.
 
 mod bodies;

@@ -669,7 +669,7 @@ mod tests {
                 view([0.0; 2], [0.0; 2], 0.0, 0.0).turn(None, FORM_MM, FORM_MM),
             ))
         };
-        // Wear of the whole side is no local loss.
+        // Wear of the whole side does not count as local.
         assert_eq!(
             level.with_opposite_mm(Flank::Left, [22e-3, 4e-3], 1.0),
             None

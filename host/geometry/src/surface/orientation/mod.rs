@@ -254,7 +254,7 @@ fn bodies(solids: &[Solid], of: &[(usize, bool)], parts: &[Option<MeshPart>]) ->
     for (triangle, (root, _)) in (0..).zip(of) {
         match places.get(root) {
             Some(&body) => bodies[body].push(triangle),
-            // A triangle without area is no part of any surface.
+            // A triangle without area belongs to no solid.
             None if parts[*root]
                 .as_ref()
                 .is_some_and(|part| part.area_mm2 == [0.0; 2]) => {}

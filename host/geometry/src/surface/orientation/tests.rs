@@ -347,7 +347,7 @@ fn assemblies_have_the_sign_of_their_winding_numbers() {
         }
         let oriented = bodies.clone();
         for (n, body) in bodies.iter_mut().enumerate() {
-            // Of what lies wholly in one of several bodies that cross, the file's order is all that there is.
+            // If bodies cross, only the file's order tells whether a part wholly inside one of them is a cavity.
             let others = || oriented.iter().enumerate().filter(|&(m, _)| m != n);
             let is_in = |other: &TriMesh| {
                 let mut corners = body.vertices.iter();
