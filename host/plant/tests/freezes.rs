@@ -27,11 +27,11 @@ use station::{Plant, Station};
 
 const STALE_AFTER_MS: u64 = 3_000;
 /// Length of a schedule.
-const SCHEDULE_MS: u64 = 12_000;
+const SCHEDULE_MS: u64 = 20_000;
 /// Interval between two rounds of questions to all outlets.
 const TICK: Duration = Duration::from_millis(200);
 /// Time within which a running process has seen what was stored: it looks every second, beside other work.
-const SEEN_WITHIN_MS: u64 = 4_000;
+const SEEN_WITHIN_MS: u64 = 3_000;
 /// Resolution of an age in seconds, and the way of an answer.
 const ANSWER_MS: u64 = 1_000;
 const GO: u16 = 1;
@@ -355,7 +355,7 @@ fn schedule(seed: u64) -> Seen {
     while now_ms() < end_ms {
         std::thread::sleep(TICK);
         if now_ms() >= next_event_ms {
-            next_event_ms = now_ms() + 300 + (1_200.0 * random.uniform()) as u64;
+            next_event_ms = now_ms() + 500 + (4_000.0 * random.uniform()) as u64;
             let long = Duration::from_millis(200 + (4_800.0 * random.uniform().powi(2)) as u64);
             let event = random.uniform();
             if event < 0.3 {
@@ -396,7 +396,8 @@ fn schedule(seed: u64) -> Seen {
                 schedule.seen.kills += 1;
             }
         }
-        if random.uniform() < 0.3 {
+        // Seldom enough for most no-gos to stay open for longer than the process needs to see them.
+        if random.uniform() < 0.05 {
             schedule.acknowledge();
         }
         schedule.ask();
