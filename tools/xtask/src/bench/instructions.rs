@@ -26,7 +26,7 @@ const STAGES: [Stage; 8] = [
     Stage { example: "kernels", name: "outliers", work: "100 000 points of a view, k = 20", good: 1418.4 },
     Stage { example: "kernels", name: "register", work: "100 000 points", good: 247.6 },
     Stage { example: "kernels", name: "distance", work: "100 000 sorted points, 6 720 triangles", good: 145.0 },
-    Stage { example: "kernels", name: "wear", work: "100 000 points, both flanks of three teeth", good: 581.0 },
+    Stage { example: "kernels", name: "wear", work: "100 000 points, both flanks of three teeth", good: 603.7 },
     Stage { example: "kernels", name: "merge", work: "300 000 points, 0.05 mm", good: 87.9 },
 ];
 /// More than this above it is a regression; as much below, and the number wants to be brought up to date.
