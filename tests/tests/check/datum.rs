@@ -14,7 +14,7 @@ const EDGE_MM: f64 = 0.2;
 const BANDS: &str = "zone_height_mm = [-2.0, 2.0]\ndatum_height_mm = [[28.2, 30.5], [35.5, 37.8]]";
 
 /// The demo tool with more lines in `[inspect]`.
-fn tool(folder: &Path, more: &str) -> String {
+pub fn tool(folder: &Path, more: &str) -> String {
     let made = flankscope()
         .args(["bench", "demo-tool", "--out"])
         .arg(folder)

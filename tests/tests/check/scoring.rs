@@ -1,12 +1,12 @@
 //! Damage as a press makes it is never go: scoring along the height that leaves most of the surface in place, a datum band that wears
 //! with the rest, equal and opposite changes of both sides beside a local loss.
 
-use std::path::Path;
-
 use flankscope_gear_cad::{Flank, Mesh};
 use flankscope_test_requisites::at_least;
 use flankscope_tests::die::{Fine, Place, bore, write_bore};
-use flankscope_tests::{Run, flankscope, inspect, inspect_full};
+use flankscope_tests::{Run, inspect, inspect_full};
+
+use crate::datum;
 
 const LIMIT_UM: f64 = 50.0;
 /// Heights of the flank that is cut, and radii less that of the tip, mm.
@@ -99,25 +99,13 @@ fn rows_of_pits_are_never_passed() {
     assert_not_passed("rows of pits", &run);
 }
 
-/// The demo tool with a single band below the judged zone.
-fn tool_of_one_band(folder: &Path) -> String {
-    let made = flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(folder)
-        .status();
-    assert!(made.is_ok_and(|status| status.success()));
-    let file = folder.join("tool.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
-    let band = "zone_height_mm = [0.0, 4.0]\ndatum_height_mm = [[28.2, 32.9]]\nwarn_um";
-    std::fs::write(&file, text.replacen("warn_um", band, 1)).unwrap();
-    folder.to_str().unwrap().to_owned()
-}
-
 /// Before the full head: the small one shows no band beside a judged zone.
 #[test]
 fn a_datum_band_that_wears_with_the_rest_is_never_passed_and_a_sound_one_is() {
     let folder = tempfile::tempdir().unwrap();
-    let tool = tool_of_one_band(&folder.path().join("tool"));
+    // A single band below the judged zone.
+    let band = "zone_height_mm = [0.0, 4.0]\ndatum_height_mm = [[28.2, 32.9]]";
+    let tool = datum::tool(&folder.path().join("tool"), band);
     let of_tool = ["--tool", &tool, "--link", "sim", "--teeth", "40"];
     let sound = inspect_full(&[&of_tool[..], &["--seed", "913"]].concat());
     assert_eq!(sound.code, 0, "{}", sound.json["reason"]);
