@@ -182,14 +182,14 @@ fn objection(
         }
     }
     let of_tool = |tool: usize| {
-        let own: Vec<&Noted> = checks.iter().filter(|check| check.tool == tool).collect();
-        (0..own.len()).rev().any(|n| {
-            let is_fresh = answered_ms <= own[n].exposed_ms + STALE_AFTER_MS + ANSWER_MS;
-            let later = own[n + 1..].iter();
+        let checks: Vec<&Noted> = checks.iter().filter(|check| check.tool == tool).collect();
+        (0..checks.len()).rev().any(|n| {
+            let is_fresh = answered_ms <= checks[n].exposed_ms + STALE_AFTER_MS + ANSWER_MS;
+            let later = checks[n + 1..].iter();
             let is_superseded = later
                 .filter(|check| !check.is_recording)
                 .any(|check| is_known(check));
-            own[n].verdict == "go" && own[n].counts && is_fresh && !is_superseded
+            checks[n].verdict == "go" && checks[n].counts && is_fresh && !is_superseded
         })
     };
     let stands = match tool {
@@ -201,9 +201,9 @@ fn objection(
 
 /// Outlets that say go now, each with the tool that it says it of.
 fn goes(plant: &Plant) -> Vec<(&'static str, Option<usize>)> {
-    let mut said = Vec::new();
+    let mut outlets = Vec::new();
     if plant.registers()[0] & GO != 0 {
-        said.push(("Modbus", None));
+        outlets.push(("Modbus", None));
     }
     let metrics = plant.with_token("/metrics").text;
     for (tool, name) in TOOLS.iter().enumerate() {
@@ -211,16 +211,16 @@ fn goes(plant: &Plant) -> Vec<(&'static str, Option<usize>)> {
             "flankscope_verdict_stands{{tool=\"{name}\",station=\"press 7\",verdict=\"go\"}} 1.0"
         );
         if metrics.contains(&line) {
-            said.push(("metrics", Some(tool)));
+            outlets.push(("metrics", Some(tool)));
         }
     }
     let board = plant.with_token("/board").text;
     for tile in board.split("<span class=\"verdict ").skip(1) {
         if tile.starts_with("go\"") {
-            said.push(("page", None));
+            outlets.push(("page", None));
         }
     }
-    said
+    outlets
 }
 
 fn signal(child: &Child, signal: Signal) {
@@ -264,7 +264,7 @@ impl Schedule {
     /// Asks every outlet, and notes each go that must not be said.
     fn ask(&mut self) {
         let asked_ms = now_ms();
-        let said = goes(&self.plant);
+        let outlets = goes(&self.plant);
         let answered_ms = now_ms();
         let checks = ledger(&self.folder);
         let objection = |tool| {
@@ -272,7 +272,7 @@ impl Schedule {
             objection(&checks, &self.acknowledged, tool, moments)
         };
         self.seen.rounds += 1;
-        for (outlet, tool) in said {
+        for (outlet, tool) in outlets {
             self.seen.goes += 1;
             // The page has a tile of each die, whatever another die's no-go is.
             let tools = match outlet {
@@ -366,13 +366,13 @@ fn schedule(seed: u64) -> Seen {
                 signal(&press.0, Signal::CONT);
                 schedule.seen.stops += 1;
             } else if event < 0.7 {
-                let both = event < 0.45;
-                if both {
+                let stops_press = event < 0.45;
+                if stops_press {
                     signal(&press.0, Signal::STOP);
                 }
                 signal(&schedule.plant.process.0, Signal::STOP);
                 std::thread::sleep(long);
-                if both {
+                if stops_press {
                     signal(&press.0, Signal::CONT);
                 }
                 schedule.plant_runs_since_ms = now_ms() + 30;
