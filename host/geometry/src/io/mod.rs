@@ -6,5 +6,6 @@ pub mod mesh;
 pub mod ply;
 pub mod points;
 mod unit;
+mod word;
 
 pub use unit::Unit;

@@ -9,6 +9,8 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
     (b"OFF", "OFF", CONVERT),
     (b"COFF", "OFF", CONVERT),
     (b"NOFF", "OFF", CONVERT),
+    (b"\xff\xfe", "text in UTF-16", UTF8),
+    (b"\xfe\xff", "text in UTF-16", UTF8),
     (b"glTF", "glTF", CONVERT),
     (b"PK\x03\x04", "an archive (3MF, ZIP)", CONVERT),
     (b"#VRML", "VRML", CONVERT),
@@ -16,6 +18,7 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
     (b"\x89PNG", "an image (PNG)", CONVERT),
     (b"%PDF", "PDF", CONVERT),
 ];
+const UTF8: &str = "save it as UTF-8";
 const TESSELLATE: &str =
     "export a mesh from the CAD system, with a chord error of a few micrometres";
 const CONVERT: &str = "convert it to PLY, STL or OBJ";

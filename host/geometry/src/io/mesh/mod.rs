@@ -4,7 +4,7 @@ mod error;
 mod foreign;
 mod obj;
 mod polygon;
-mod stl;
+pub(in crate::io) mod stl;
 mod weld;
 
 use std::path::Path;
@@ -15,7 +15,7 @@ pub use error::MeshError;
 pub use stl::write_stl;
 pub use weld::weld;
 
-use crate::io::{Unit, ply};
+use crate::io::{Unit, ply, word};
 use crate::space::unit_normal;
 
 /// Smallest bounding box diagonal that a die or a feature of one can have, mm.
@@ -150,6 +150,7 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<TriMesh, MeshError> {
     if bytes.is_empty() {
         return Err(MeshError::EmptyFile);
     }
+    let bytes = word::without_mark(bytes);
     let mesh = if bytes.starts_with(b"ply") {
         let table = ply::read(bytes, ply::Want::Faces)?;
         TriMesh {

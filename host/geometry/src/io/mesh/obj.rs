@@ -31,7 +31,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
                 for value in &mut vertex {
                     *value = words
                         .next()
-                        .and_then(|word| word.parse().ok())
+                        .and_then(crate::io::word::number)
                         .filter(|value: &f64| value.is_finite())
                         .ok_or_else(|| refuse("`v x y z` with three finite numbers"))?;
                 }

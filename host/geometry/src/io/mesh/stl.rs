@@ -19,7 +19,7 @@ fn size_of(triangles: u32) -> u64 {
 }
 
 /// A binary STL is known by its size alone: many start with `solid` too.
-pub(super) fn is_binary(bytes: &[u8]) -> bool {
+pub(in crate::io) fn is_binary(bytes: &[u8]) -> bool {
     declared(bytes).is_some_and(|count| size_of(count) == bytes.len() as u64)
 }
 
@@ -54,59 +54,127 @@ fn join(corners: Vec<[[f64; 3]; 3]>) -> Result<TriMesh, MeshError> {
     })
 }
 
-/// Text STL starts with `solid`, in letters of any size.
+/// Bytes in which a text STL shows its first facet or its end.
+const TEXT_START_BYTES: usize = 1 << 10;
+
+/// Text STL starts with `solid`, in letters of any size, and holds no zero bytes at its start. Many binary files start with
+/// `solid` too.
 pub(super) fn is_text(bytes: &[u8]) -> bool {
     let start = bytes.trim_ascii_start();
-    start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid")
+    let start = &start[..start.len().min(TEXT_START_BYTES)];
+    start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid") && !start.contains(&0)
 }
 
-/// Reads text STL.
+/// Words of a text with their line. Lines end in LF, CR LF or CR.
+struct Words<'a> {
+    rest: &'a [u8],
+    line: usize,
+}
+
+impl<'a> Words<'a> {
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let mut start = 0;
+        while let Some(byte) = self
+            .rest
+            .get(start)
+            .filter(|byte| byte.is_ascii_whitespace())
+        {
+            let ends_line = match byte {
+                b'\n' => true,
+                b'\r' => self.rest.get(start + 1) != Some(&b'\n'),
+                _ => false,
+            };
+            self.line += usize::from(ends_line);
+            start += 1;
+        }
+        let rest = &self.rest[start..];
+        let is_blank = u8::is_ascii_whitespace;
+        let length = rest.iter().position(is_blank).unwrap_or(rest.len());
+        self.rest = &rest[length..];
+        (length > 0).then_some(&rest[..length])
+    }
+
+    fn peek(&self) -> Option<&'a [u8]> {
+        Words { ..*self }.next()
+    }
+
+    /// Takes the next word if it is `keyword`, in letters of any size.
+    fn take(&mut self, keyword: &str) -> bool {
+        let is_next = self.peek().is_some_and(|word| is(word, keyword));
+        is_next && self.next().is_some()
+    }
+
+    fn number(&mut self) -> Option<f64> {
+        crate::io::word::number(std::str::from_utf8(self.next()?).ok()?)
+    }
+
+    fn refuse(&self, word: &[u8], expected: &'static str) -> MeshError {
+        MeshError::Line {
+            line: self.line,
+            text: String::from_utf8_lossy(&word[..word.len().min(40)]).into_owned(),
+            expected,
+        }
+    }
+}
+
+fn is(word: &[u8], keyword: &str) -> bool {
+    word.eq_ignore_ascii_case(keyword.as_bytes())
+}
+
+/// Reads text STL by its words, whatever the lines. Keywords may be parted (`end loop`).
 pub(super) fn parse_ascii(bytes: &[u8]) -> Result<TriMesh, MeshError> {
+    const KEYWORD: &str = "a keyword of text STL (facet, outer loop, vertex, ...)";
+    let mut words = Words {
+        rest: bytes,
+        line: 1,
+    };
     let mut corners = Vec::new();
     let mut loop_corners: Vec<[f64; 3]> = Vec::new();
     let mut closed = false;
-    let mut line = 0;
-    for raw in bytes.split(|&b| b == b'\n') {
-        line += 1;
-        let text = String::from_utf8_lossy(raw);
-        let refuse = |expected| MeshError::Line {
-            line,
-            text: text.trim().chars().take(40).collect(),
-            expected,
-        };
-        let mut words = text.split_ascii_whitespace();
-        match words.next().map(str::to_ascii_lowercase).as_deref() {
-            None | Some("solid" | "facet" | "outer" | "endfacet") => {}
-            Some("vertex") => {
-                let mut corner = [0.0f64; 3];
-                for value in &mut corner {
-                    *value = words
-                        .next()
-                        .and_then(|word| word.parse().ok())
-                        .ok_or_else(|| refuse("`vertex x y z` with three numbers"))?;
+    // Names after `solid` and `endsolid` hold any words, in one line with the first facet in some files.
+    let mut in_name = false;
+    while let Some(word) = words.next() {
+        if is(word, "facet") && (!in_name || words.peek().is_some_and(|next| is(next, "normal"))) {
+            in_name = false;
+            closed = false;
+            if words.take("normal") {
+                for _ in 0..3 {
+                    // Unused. Some files leave it out.
+                    if words.peek().is_some_and(|next| is(next, "outer")) {
+                        break;
+                    }
+                    words.next();
                 }
-                if corner.iter().any(|value| !value.is_finite()) {
-                    return Err(refuse("`vertex x y z` with three finite numbers"));
-                }
-                loop_corners.push(corner);
             }
-            Some("endloop") => {
-                let [a, b, c] = loop_corners[..] else {
-                    return Err(refuse("exactly three `vertex` lines before `endloop`"));
-                };
-                corners.push([a, b, c]);
-                loop_corners.clear();
+        } else if is(word, "endsolid") || (is(word, "end") && words.take("solid")) {
+            in_name = true;
+            closed = true;
+        } else if in_name {
+        } else if is(word, "solid") {
+            in_name = true;
+        } else if is(word, "outer") {
+            words.take("loop");
+        } else if is(word, "vertex") {
+            let mut corner = [0.0f64; 3];
+            for value in &mut corner {
+                let number = words.number().filter(|number| number.is_finite());
+                *value = number.ok_or_else(|| {
+                    words.refuse(word, "`vertex x y z` with three finite numbers")
+                })?;
             }
-            Some("endsolid") => closed = true,
-            Some(_) => {
-                return Err(refuse(
-                    "a line of text STL (facet, outer loop, vertex, ...)",
-                ));
-            }
+            loop_corners.push(corner);
+        } else if is(word, "endloop") || (is(word, "end") && words.take("loop")) {
+            let [a, b, c] = loop_corners[..] else {
+                return Err(words.refuse(word, "exactly three `vertex` before `endloop`"));
+            };
+            corners.push([a, b, c]);
+            loop_corners.clear();
+        } else if !(is(word, "endfacet") || (is(word, "end") && words.take("facet"))) {
+            return Err(words.refuse(word, KEYWORD));
         }
     }
     if !closed {
-        return Err(MeshError::StlOpen { line });
+        return Err(MeshError::StlOpen { line: words.line });
     }
     join(corners)
 }
@@ -144,4 +212,35 @@ pub fn write_stl(out: &mut dyn Write, mesh: &TriMesh) -> io::Result<()> {
         out.write_all(&record)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SOLID: &str = "solid a box\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 10 0 0\nvertex 0 1.0D+01 0\nendloop\n\
+        endfacet\nendsolid a box\n";
+
+    /// Line ends, parted keywords, one line, a byte-order mark.
+    #[test]
+    fn text_is_read_by_words() {
+        let expected = super::super::parse(SOLID.as_bytes(), crate::io::Unit::Mm).unwrap();
+        for text in [
+            SOLID.replace('\n', "\r"),
+            SOLID.replace('\n', "\r\n"),
+            SOLID.replace('\n', " "),
+            SOLID.replace("endloop", "end loop"),
+            SOLID.replace("endfacet", "end facet"),
+            SOLID.replace("endsolid", "END SOLID"),
+            format!("\u{feff}{SOLID}"),
+        ] {
+            let mesh = super::super::parse(text.as_bytes(), crate::io::Unit::Mm);
+            assert_eq!(mesh.unwrap(), expected, "{text:?}");
+        }
+        let open = SOLID.replace("endsolid a box", "");
+        assert!(matches!(
+            parse_ascii(open.as_bytes()),
+            Err(MeshError::StlOpen { .. })
+        ));
+    }
 }

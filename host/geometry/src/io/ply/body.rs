@@ -164,7 +164,7 @@ impl<'a> Body<'a> {
             let word = self.word(element, index)?;
             std::str::from_utf8(word)
                 .ok()
-                .and_then(|text| text.parse().ok())
+                .and_then(crate::io::word::number)
                 .ok_or_else(|| PlyError::Number {
                     line: self.line,
                     text: shorten(word),
