@@ -9,9 +9,10 @@ use std::path::Path;
 use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
 use flankscope_foundation::npz::NpzError;
 
-use crate::io::Unit;
+use crate::io::mesh::stl;
 use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
 use crate::io::points::{Format, PointFile};
+use crate::io::{Unit, word};
 use crate::space::Aabb;
 
 /// Points that are known to be finite, mm. Nothing else may feed a tree, a registration or a verdict.
@@ -70,6 +71,38 @@ pub enum CloudError {
     /// Zero bytes.
     #[error("the file is empty; a cloud is PLY, arrays (.npz) or text with `x y z` per line")]
     EmptyFile,
+    /// Text in UTF-16.
+    #[error("the file is text in UTF-16; save it as UTF-8")]
+    Utf16,
+    /// A first column that counts the lines of a file without a heading.
+    #[error(
+        "the first of {columns} columns counts the lines, so that it is probably an index; right would be a heading that names the columns, such as `index,x,y,z`, or a file without that column"
+    )]
+    IndexColumn {
+        /// Columns of a line.
+        columns: usize,
+    },
+    /// A heading without the coordinates.
+    #[error(
+        "line {line}: the heading {text:?} does not name each of the columns x, y and z once; right would be `x,y,z`"
+    )]
+    Heading {
+        /// Line number, from 1.
+        line: usize,
+        /// The heading, shortened.
+        text: String,
+    },
+    /// Fewer points than the file states.
+    #[error("the file states {stated} points and holds {found}; it is truncated")]
+    Count {
+        /// Number in the file.
+        stated: usize,
+        /// Number of points.
+        found: usize,
+    },
+    /// A mesh in the place of a cloud.
+    #[error("the file is a mesh (STL); `flankscope sample` makes points of it")]
+    Mesh,
     /// No points.
     #[error("the cloud has no points; at least one is needed")]
     NoPoints,
@@ -199,6 +232,10 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
     if bytes.is_empty() {
         return Err(CloudError::EmptyFile);
     }
+    if word::is_utf16(bytes) {
+        return Err(CloudError::Utf16);
+    }
+    let bytes = word::without_mark(bytes);
     let cloud = if bytes.starts_with(b"ply") {
         let table = ply::read(bytes, Want::Extras)?;
         Cloud {
@@ -212,6 +249,8 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
             return Err(CloudError::ArrayUnit { unit });
         }
         arrays::parse(bytes)?
+    } else if stl::is_binary(bytes) {
+        return Err(CloudError::Mesh);
     } else {
         Cloud {
             points: FinitePoints(text::parse(bytes)?),

@@ -12,8 +12,16 @@ enum Comma {
     Decimal,
 }
 
-/// Points of all lines; further columns, blank lines and `#` or `//` comments are skipped.
+/// Points of all lines. Further columns, blank lines and `#` or `//` comments are skipped. A heading names the columns, a count of
+/// points may come first (PTS), and `v` lines of OBJ are points.
 pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
+    if bytes
+        .trim_ascii_start()
+        .get(..6)
+        .is_some_and(|start| start.eq_ignore_ascii_case(b"solid "))
+    {
+        return Err(CloudError::Mesh);
+    }
     let is_binary = |&byte: &u8| byte < 0x20 && !byte.is_ascii_whitespace();
     if let Some(offset) = bytes.iter().position(is_binary) {
         return Err(CloudError::Foreign {
@@ -21,43 +29,165 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
             offset,
         });
     }
-    let text = String::from_utf8_lossy(bytes);
-    let lines = || {
-        let numbered = text.split('\n').enumerate();
-        numbered
-            .map(|(index, line)| (index + 1, line.trim()))
-            .filter(|(_, line)| {
-                !(line.is_empty() || line.starts_with('#') || line.starts_with("//"))
-            })
-    };
-    let comma = comma(lines())?;
-    let mut points = Vec::new();
-    for (line, text) in lines() {
-        let is_separator =
-            |c: char| c.is_whitespace() || c == ';' || (c == ',' && comma == Comma::Separator);
-        let mut numbers = text
-            .split(is_separator)
-            .filter(|word| !word.is_empty())
-            .map(|word| number(word, comma));
-        let (Some(Some(x)), Some(Some(y)), Some(Some(z))) =
-            (numbers.next(), numbers.next(), numbers.next())
-        else {
+    let text = String::from_utf8_lossy(bytes).replace("\r\n", "\n");
+    let numbered = text.split(['\n', '\r']).enumerate();
+    let mut lines: Vec<(usize, &str)> = numbered
+        .map(|(index, line)| (index + 1, line.trim()))
+        .filter(|(_, line)| !(line.is_empty() || line.starts_with('#') || line.starts_with("//")))
+        .collect();
+    let stated = stated_count(&lines);
+    let is_obj = lines.iter().any(|(_, line)| obj_vertex(line).is_some());
+    if is_obj {
+        lines.retain_mut(|(_, line)| obj_vertex(line).map(|rest| *line = rest).is_some());
+    }
+    lines.drain(..usize::from(stated.is_some()));
+    let heading = heading(&mut lines)?;
+    let comma = match &heading {
+        Some(heading) => heading
+            .comma
+            .map_or_else(|| comma(lines.iter().copied()), Ok),
+        None => comma(lines.iter().copied()),
+    }?;
+    let columns = heading
+        .as_ref()
+        .map_or([0, 1, 2], |heading| heading.columns);
+    let mut points = Vec::with_capacity(lines.len());
+    let mut counts_lines = lines.len() >= LEAST_INDEX_LINES && heading.is_none();
+    let mut width = 0;
+    let mut first_index = None;
+    for (row, &(line, text)) in lines.iter().enumerate() {
+        let fields = fields(text, comma, heading.is_some());
+        let at = |column: usize| fields.get(column).and_then(|word| number(word, comma));
+        let [Some(x), Some(y), Some(z)] = columns.map(at) else {
             return Err(CloudError::Line {
                 line,
                 text: text.chars().take(40).collect(),
             });
         };
+        if counts_lines {
+            width = fields.len();
+            let index = fields[0].parse::<usize>().ok().filter(|_| width >= 4);
+            let first = *first_index.get_or_insert(index);
+            counts_lines = index.is_some() && index == first.map(|first| first + row);
+        }
         points.push([x, y, z]);
     }
-    Ok(points)
+    // Coordinates in whole numbers throughout are those of a grid.
+    let has_fractions = || {
+        points
+            .iter()
+            .flat_map(|p| &p[1..])
+            .any(|c| c.fract() != 0.0)
+    };
+    if counts_lines && has_fractions() {
+        return Err(CloudError::IndexColumn { columns: width });
+    }
+    match stated {
+        Some(stated) if stated > points.len() => Err(CloudError::Count {
+            stated,
+            found: points.len(),
+        }),
+        _ => Ok(points),
+    }
+}
+
+/// Fewest lines whose first column can be told to be an index.
+const LEAST_INDEX_LINES: usize = 3;
+
+/// Number of points that the first line of a PTS file states.
+fn stated_count(lines: &[(usize, &str)]) -> Option<usize> {
+    let (_, first) = lines.first()?;
+    first.parse().ok()
+}
+
+/// Coordinates of a `v` line of OBJ.
+fn obj_vertex(line: &str) -> Option<&str> {
+    line.strip_prefix('v')
+        .filter(|rest| rest.starts_with([' ', '\t']))
+        .map(str::trim_start)
+}
+
+/// First line of a table, which names its columns.
+struct Heading {
+    /// Places of x, y and z.
+    columns: [usize; 3],
+    /// Meaning of a comma, where the heading's separator tells it.
+    comma: Option<Comma>,
+}
+
+/// Takes the heading off the lines, if they have one.
+fn heading(lines: &mut Vec<(usize, &str)>) -> Result<Option<Heading>, CloudError> {
+    let Some(&(line, text)) = lines.first() else {
+        return Ok(None);
+    };
+    let comma = match (text.contains([';', '\t']), text.contains(',')) {
+        (true, false) => Some(Comma::Decimal),
+        (false, true) => Some(Comma::Separator),
+        _ => None,
+    };
+    let names = fields(text, comma.unwrap_or(Comma::Separator), true);
+    let is_axis = |name: &&str| {
+        ["x", "y", "z"]
+            .iter()
+            .any(|axis| name.eq_ignore_ascii_case(axis))
+    };
+    if !names.iter().any(is_axis) {
+        return Ok(None);
+    }
+    let refused = || CloudError::Heading {
+        line,
+        text: text.chars().take(40).collect(),
+    };
+    let place = |axis: &str| {
+        let mut found = (0..names.len()).filter(|&i| names[i].eq_ignore_ascii_case(axis));
+        found
+            .next()
+            .filter(|_| found.next().is_none())
+            .ok_or_else(refused)
+    };
+    let columns = [place("x")?, place("y")?, place("z")?];
+    let width = names.len();
+    lines.remove(0);
+    let comma_of_rows = comma.filter(|comma| *comma == Comma::Separator || !mixes_points(lines));
+    if let Some((_, row)) = lines.first() {
+        let row = fields(row, comma_of_rows.unwrap_or(Comma::Separator), true);
+        // Row names without a heading of their own would move every column.
+        if row.len() != width && row.iter().rposition(|word| !word.is_empty()) >= Some(width) {
+            return Err(refused());
+        }
+    }
+    Ok(Some(Heading {
+        columns,
+        comma: comma_of_rows,
+    }))
+}
+
+/// Whether decimal points stand beside commas.
+fn mixes_points(lines: &[(usize, &str)]) -> bool {
+    lines.iter().any(|(_, line)| line.contains('.'))
+}
+
+/// Fields of a line, without quotes. Empty ones count where a heading gives every column its place.
+fn fields(text: &str, comma: Comma, keep_empty: bool) -> Vec<&str> {
+    let is_mark = |c: char| c == ';' || c == '\t' || (c == ',' && comma == Comma::Separator);
+    if keep_empty && text.contains(is_mark) {
+        return text.split(is_mark).map(unquoted).collect();
+    }
+    let is_separator = |c: char| c.is_whitespace() || is_mark(c);
+    let words = text.split(is_separator).filter(|word| !word.is_empty());
+    words.map(unquoted).collect()
+}
+
+fn unquoted(word: &str) -> &str {
+    word.trim().trim_matches('"')
 }
 
 fn number(word: &str, comma: Comma) -> Option<f64> {
     let value = match comma {
-        Comma::Separator => word.parse(),
-        Comma::Decimal => word.replace(',', ".").parse(),
+        Comma::Separator => crate::io::word::number(word),
+        Comma::Decimal => crate::io::word::number(&word.replace(',', ".")),
     };
-    value.ok().filter(|value: &f64| value.is_finite())
+    value.filter(|value| value.is_finite())
 }
 
 /// Meaning of commas by all lines together. A comma within a word of a line that blanks or semicolons divide is a decimal sign;
@@ -145,10 +275,64 @@ mod tests {
     }
 
     #[test]
+    fn headings_counts_and_words_of_other_programs_are_read() {
+        let expected = [[1.5, -2.0, 0.5], [4.0, 5.0, 6.25]];
+        for text in [
+            "x,y,z\n1.5,-2,0.5\n4,5,6.25\n",
+            ",x,y,z\n0,1.5,-2,0.5\n1,4,5,6.25\n",
+            "index,Z,X,Y\n0,0.5,1.5,-2\n1,6.25,4,5\n",
+            "x;y;z;dx\n1,5;-2,0;0,5;0,1\n4,0;5,0;6,25;0,1\n",
+            "\"x\",\"y\",\"z\"\n\"1.5\",\"-2\",\"0.5\"\n\"4\",\"5\",\"6.25\"\n",
+            "x y z\n1.5 -2 0.5\n4 5 6.25\n",
+            "2\n1.5 -2 0.5 120 10 20 30\n4 5 6.25 120 10 20 30\n",
+            "v 1.5 -2 0.5\nv 4 5 6.25\n",
+            "1.5D+00 -2.0D+00 5.0D-01\n4.0D+00 5.0D+00 6.25D+00\n",
+            "1.5 -2 0.5\r4 5 6.25\r",
+        ] {
+            assert_eq!(points(text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn columns_that_may_be_others_are_refused() {
+        type Expect = fn(&CloudError) -> bool;
+        let cases: [(&str, Expect); 5] = [
+            ("0,1.5,2,3\n1,4,5,6\n2,7,8,9\n", |e| {
+                matches!(e, CloudError::IndexColumn { columns: 4 })
+            }),
+            ("x,y\n1,2\n", |e| {
+                matches!(e, CloudError::Heading { line: 1, .. })
+            }),
+            // As `write.table` of R writes row names.
+            ("x y z\n1 1.5 2 3\n2 4 5 6\n", |e| {
+                matches!(e, CloudError::Heading { .. })
+            }),
+            ("3\n1 2 3\n4 5 6\n", |e| {
+                matches!(
+                    e,
+                    CloudError::Count {
+                        stated: 3,
+                        found: 2
+                    }
+                )
+            }),
+            ("solid box\nfacet normal 0 0 1\n", |e| {
+                matches!(e, CloudError::Mesh)
+            }),
+        ];
+        for (text, is_expected) in cases {
+            let error = parse(text.as_bytes()).unwrap_err();
+            assert!(is_expected(&error), "{text:?}: {error}");
+        }
+        // A grid in whole numbers.
+        assert_eq!(points("0 1 2 9\n1 4 5 9\n2 7 8 9\n")[1], [1.0, 4.0, 5.0]);
+    }
+
+    #[test]
     fn what_is_no_point_is_named_by_line() {
         for (text, at) in [
             ("1 2 3\n1 2", 2),
-            ("x y z\n", 1),
+            ("a b c\n", 1),
             ("1 2 inf", 1),
             ("1,5 2,5 a", 1),
         ] {
