@@ -67,6 +67,9 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
         extras: Vec::new(),
     };
     let mut seen_vertices = false;
+    let is_face = |element: &Element| element.name == "face" && element.count > 0;
+    let has_faces = header.elements.iter().any(is_face);
+    let has_strips = header.elements.iter().any(|e| e.name == "tristrips");
     let mut seen_faces = false;
     let mut body = Body {
         rest: &bytes[header.body_offset..],
@@ -81,9 +84,13 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
                 seen_vertices = true;
                 body.vertices(element, want == Want::Extras, &mut table)?;
             }
-            "face" if !seen_faces && want == Want::Faces => {
+            "face" if !seen_faces && want == Want::Faces && (has_faces || !has_strips) => {
                 seen_faces = true;
                 body.faces(element, &mut table.faces)?;
+            }
+            "tristrips" if !seen_faces && want == Want::Faces && !has_faces => {
+                seen_faces = true;
+                body.strips(element, &mut table.faces.triangles)?;
             }
             _ => body.skip(element)?,
         }
@@ -420,6 +427,45 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
+    /// Triangle strips: every further corner makes a triangle with the two before it, turned alternately. A negative number ends a
+    /// strip. Triangles of two equal corners only join strips and are left out.
+    fn strips(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), PlyError> {
+        for record in 0..element.count {
+            for property in &element.properties {
+                let (PropertyKind::List { length, item }, "vertex_indices" | "vertex_index") =
+                    (property.kind, property.name.as_str())
+                else {
+                    self.skip_property(property.kind, element, record)?;
+                    continue;
+                };
+                let mut strip: Vec<u32> = Vec::new();
+                for _ in 0..self.length(length, item, element, record)? {
+                    let value = self.number(item, element, record)?;
+                    if value < 0.0 || value == f64::from(u32::MAX) {
+                        strip.clear();
+                        continue;
+                    }
+                    if !(0.0..f64::from(u32::MAX)).contains(&value) {
+                        return Err(PlyError::IndexOutOfRange {
+                            face: triangles.len() as u64,
+                            index: value as i64,
+                            vertices: u64::from(u32::MAX),
+                        });
+                    }
+                    strip.push(value as u32);
+                    let &[.., a, b, c] = strip.as_slice() else {
+                        continue;
+                    };
+                    if a != b && b != c && c != a {
+                        let is_turned = strip.len() % 2 == 0;
+                        triangles.push(if is_turned { [b, a, c] } else { [a, b, c] });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The leading run of faces that are plain triangles in the most common layout: 1 + 3 x 4 bytes.
     fn plain_triangles(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) {
         let mut taken = 0;
@@ -447,4 +493,24 @@ fn check_finite(index: u64, place: Place, axis: usize, value: f64) -> Result<(),
         axis: ['x', 'y', 'z'][axis],
         value,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangle_strips_are_faces() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+            element tristrips 1\nproperty list int int vertex_indices\nend_header\n\
+            0 0 0\n1 0 0\n0 1 0\n1 1 0\n9 0 1 2 3 -1 3 2 1 0\n";
+        let table = read(text.as_bytes(), Want::Faces).unwrap();
+        let expected = vec![[0, 1, 2], [2, 1, 3], [3, 2, 1], [1, 2, 0]];
+        assert_eq!(table.faces.triangles, expected);
+        let beyond = text.replace("9 0 1 2 3", "9 0 1 2 4");
+        assert!(matches!(
+            read(beyond.as_bytes(), Want::Faces),
+            Err(PlyError::IndexOutOfRange { index: 4, .. })
+        ));
+    }
 }
