@@ -457,7 +457,7 @@ impl<'a> Body<'a> {
                         continue;
                     };
                     if a != b && b != c && c != a {
-                        let is_turned = strip.len() % 2 == 0;
+                        let is_turned = strip.len().is_multiple_of(2);
                         triangles.push(if is_turned { [b, a, c] } else { [a, b, c] });
                     }
                 }
