@@ -35,13 +35,23 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
         .map(|(index, line)| (index + 1, line.trim()))
         .filter(|(_, line)| !(line.is_empty() || line.starts_with('#') || line.starts_with("//")))
         .collect();
-    let stated = stated_count(&lines);
+    let (stated, named) = match container(&mut lines)? {
+        Some(container) => (Some(container.points), Some(container.columns)),
+        None => (stated_count(&lines), None),
+    };
+    let in_container = named.is_some();
     let is_obj = lines.iter().any(|(_, line)| obj_vertex(line).is_some());
     if is_obj {
         lines.retain_mut(|(_, line)| obj_vertex(line).map(|rest| *line = rest).is_some());
     }
-    lines.drain(..usize::from(stated.is_some()));
-    let heading = heading(&mut lines)?;
+    lines.drain(..usize::from(stated.is_some() && !in_container));
+    let heading = match named {
+        Some(columns) => Some(Heading {
+            columns,
+            comma: Some(Comma::Separator),
+        }),
+        None => heading(&mut lines)?,
+    };
     let comma = match &heading {
         Some(heading) => heading
             .comma
@@ -93,6 +103,57 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
 
 /// Fewest lines whose first column can be told to be an index.
 const LEAST_INDEX_LINES: usize = 3;
+
+/// Header of a format that states its points.
+struct Container {
+    points: usize,
+    /// Places of x, y and z.
+    columns: [usize; 3],
+}
+
+/// Takes the header of OFF or of a PCD in text off the lines, and what follows the points.
+fn container(lines: &mut Vec<(usize, &str)>) -> Result<Option<Container>, CloudError> {
+    let Some(&(line, first)) = lines.first() else {
+        return Ok(None);
+    };
+    let refused = |(line, text): (usize, &str)| CloudError::Line {
+        line,
+        text: text.chars().take(40).collect(),
+    };
+    let (points, columns, header_lines) = if ["OFF", "COFF", "NOFF"].contains(&first) {
+        let counts = *lines.get(1).ok_or_else(|| refused((line, first)))?;
+        let points = counts.1.split_whitespace().next();
+        let points = points.and_then(|word| word.parse().ok());
+        (points.ok_or_else(|| refused(counts))?, [0, 1, 2], 2)
+    } else if first.starts_with("VERSION ") || first.starts_with("FIELDS ") {
+        let values = |key: &str| {
+            let found = lines
+                .iter()
+                .take(16)
+                .find_map(|(_, line)| line.strip_prefix(key));
+            found.map(|rest| rest.split_whitespace().collect::<Vec<_>>())
+        };
+        let data = lines
+            .iter()
+            .take(16)
+            .position(|(_, line)| *line == "DATA ascii");
+        let names = values("FIELDS ").unwrap_or_default();
+        let is_plain = values("COUNT ").is_none_or(|counts| counts.iter().all(|n| *n == "1"));
+        let place = |axis: &str| names.iter().position(|name| *name == axis);
+        let points = values("POINTS ").and_then(|words| words.first()?.parse().ok());
+        match (place("x"), place("y"), place("z"), points, data) {
+            (Some(x), Some(y), Some(z), Some(points), Some(data)) if is_plain => {
+                (points, [x, y, z], data + 1)
+            }
+            _ => return Err(refused((line, first))),
+        }
+    } else {
+        return Ok(None);
+    };
+    lines.drain(..header_lines);
+    lines.truncate(points);
+    Ok(Some(Container { points, columns }))
+}
 
 /// Number of points that the first line of a PTS file states.
 fn stated_count(lines: &[(usize, &str)]) -> Option<usize> {
@@ -286,6 +347,9 @@ mod tests {
             "x y z\n1.5 -2 0.5\n4 5 6.25\n",
             "2\n1.5 -2 0.5 120 10 20 30\n4 5 6.25 120 10 20 30\n",
             "v 1.5 -2 0.5\nv 4 5 6.25\n",
+            "OFF\n2 1 0\n1.5 -2 0.5\n4 5 6.25\n3 0 1 0\n",
+            "# .PCD v0.7\nVERSION 0.7\nFIELDS i x y z\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\n\
+                POINTS 2\nDATA ascii\n7 1.5 -2 0.5\n8 4 5 6.25\n",
             "1.5D+00 -2.0D+00 5.0D-01\n4.0D+00 5.0D+00 6.25D+00\n",
             "1.5 -2 0.5\r4 5 6.25\r",
         ] {
