@@ -4,7 +4,7 @@
 //! They need the full head: its U95 is small beside the limits, the small head's reaches 20 µm where a flank is worn.
 
 use flankscope_test_requisites::at_least;
-use flankscope_tests::{Run, inspect_full};
+use flankscope_tests::{Run, inspect_full, inspect_full_on};
 
 const WARN_UM: f64 = 30.0;
 const LIMIT_UM: f64 = 50.0;
@@ -239,6 +239,53 @@ fn one_side_of_all_teeth_is_never_go_with_or_without_a_baseline() {
         }
     }
     assert!(checked == 12 * dies.len() && worst <= 1.5, "{worst}");
+}
+
+/// Stages whose errors repeat within 2 mdeg, in a station file that says so: since a baseline the wear of one side of all teeth is
+/// known well enough for a verdict. 2 mdeg evenly distributed are 0.8 µm at 41.5 mm (standard uncertainty), of two approaches 1.1 µm.
+/// Where the wear moved the pose so far that its tilt does not agree with the baseline's mount, the verdict is indeterminate.
+#[test]
+fn one_side_of_all_teeth_is_judged_since_a_baseline_by_stages_that_repeat() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (baseline, station) = (path("new.json"), path("station.toml"));
+    let stages = "[stages]\nrotation_repeatability_mdeg = 2.0\nvertical_repeatability_um = 1.0\n";
+    let controller = "[controller]\nlink = \"sim\"\n";
+    std::fs::write(&station, format!("{controller}{stages}")).unwrap();
+    let check = |rest: &[&str]| {
+        let one_tooth = ["--station", &station, "--teeth", "40"];
+        inspect_full_on(stages, &[&one_tooth[..], rest].concat())
+    };
+    let new = check(&["--seed", "77", "--record-baseline", &baseline]);
+    assert_eq!(new.code, 0, "{} {}", new.json["reason"], new.stderr);
+    let dies = [
+        ("3", 40, "warn"),
+        ("4", 65, "no-go"),
+        ("5", 18, "go"),
+        ("5", 40, "warn"),
+        ("6", 40, "warn"),
+        ("7", 65, "no-go"),
+    ];
+    let dies = at_least(2, &dies);
+    let mut judged = 0;
+    for (seed, depth_um, right) in dies {
+        let wear = format!("1:left:{depth_um}:side");
+        let run = check(&["--seed", seed, "--wear", &wear, "--baseline", &baseline]);
+        let mut widest_um = 0.0_f64;
+        for flank in ["left", "right"] {
+            let [wear_um, u95_um, truth_um] = answered(&run, 40, flank);
+            println!("{depth_um} {flank}: {wear_um:.1} ± {u95_um:.1}, true {truth_um:.1}");
+            assert!((wear_um - truth_um).abs() <= u95_um, "{wear_um} ± {u95_um}");
+            widest_um = widest_um.max(u95_um);
+        }
+        let verdict = run.flank(40, "left").unwrap();
+        assert!(
+            [right, "indeterminate"].contains(&verdict),
+            "{depth_um}: {verdict}"
+        );
+        judged += usize::from(verdict == *right && widest_um < 6.0);
+    }
+    assert!(2 * judged >= dies.len(), "{judged} of {}", dies.len());
 }
 
 /// A worn ring, lands and all: the pose follows a part of it.

@@ -143,6 +143,18 @@ pub struct StagesTable {
     /// Backlash of the vertical stage, µm.
     #[serde(deserialize_with = "play")]
     pub backlash_um: f64,
+    /// Largest change of the rotary stage's error from run to run, mdeg; the rest of its error repeats. None: all of it changes.
+    #[serde(
+        deserialize_with = "repeatability",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub rotation_repeatability_mdeg: Option<f64>,
+    /// Largest change of the vertical stage's error from run to run, µm, as for the rotary stage.
+    #[serde(
+        deserialize_with = "repeatability",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub vertical_repeatability_um: Option<f64>,
     /// Saw-tooth error of the rotary encoder, `TEETH:MDEG`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_saw: Option<Given<EncoderSaw>>,
@@ -350,6 +362,11 @@ fn play<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     within(from, 0.0, 1000.0)
 }
 
+/// Within the error of either stage: 15 mdeg, 5 µm.
+fn repeatability<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    within(from, 0.0, 5.0).map(Some)
+}
+
 fn turn_deg<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     within(from, -360.0, 360.0)
 }
@@ -436,6 +453,8 @@ mod tests {
                 StagesTable {
                     backlash_mdeg: _,
                     backlash_um: _,
+                    rotation_repeatability_mdeg,
+                    vertical_repeatability_um,
                     encoder_saw,
                     trouble,
                     arm,
@@ -449,6 +468,7 @@ mod tests {
         } = full;
         assert!(die.other.is_some());
         assert!(sprayed_above_mm.is_some() && bounces.is_some());
+        assert!(rotation_repeatability_mdeg.is_some() && vertical_repeatability_um.is_some());
         assert!(encoder_saw.is_some() && trouble.is_some() && arm.is_some());
         assert!(frame_fault.is_some() && gige_trouble.is_some());
     }
@@ -469,6 +489,7 @@ mod tests {
             ("stages", "encoder_saw = \"84:NaN\"", "84:8"),
             ("stages", "trouble = \"lazy\"", "other-model"),
             ("stages", "backlash_um = -1", "from 0 to 1000"),
+            ("stages", "rotation_repeatability_mdeg = 6", "from 0 to 5"),
             ("motion", "shiver_um = -1", "from 0 to 1000"),
             ("motion", "vibration_um = nan", "from 0 to 1000"),
             ("press", "open_share = nan", "from 0.1 to 0.9"),

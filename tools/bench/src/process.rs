@@ -340,6 +340,13 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     config.devices.seed = seed;
     config.devices.axes.rotation.backlash = 1e-3 * file.stages.backlash_mdeg;
     config.devices.axes.vertical.backlash = 1e-3 * file.stages.backlash_um;
+    let axes = &mut config.devices.axes;
+    if let Some(mdeg) = file.stages.rotation_repeatability_mdeg {
+        axes.rotation.repeatability = 1e-3 * mdeg;
+    }
+    if let Some(um) = file.stages.vertical_repeatability_um {
+        axes.vertical.repeatability = 1e-3 * um;
+    }
     if let Some(trouble) = file.stages.trouble {
         trouble.spoil(&mut config.devices.axes);
     }

@@ -106,6 +106,14 @@ pub struct Stages {
     pub rotation_error_mdeg: f64,
     /// Largest error of the vertical stage, µm.
     pub vertical_error_um: f64,
+    /// Largest deviation of the rotary stage from its mean position over approaches of one position from either side
+    /// (half of ISO 230-2's bidirectional repeatability), millidegrees. None where only the error is known: then all of the error
+    /// may differ between two approaches.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_repeatability_mdeg: Option<f64>,
+    /// Largest deviation of the vertical stage from its mean position over approaches of one position, µm, as for the rotary stage.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vertical_repeatability_um: Option<f64>,
     /// Standard uncertainty of the head's mounting position, along each axis, µm.
     pub mount_um: f64,
     /// Standard uncertainty of the head's tilt, about each axis, mrad.
@@ -183,6 +191,8 @@ impl Default for Stages {
             poses: PoseSettings::default(),
             rotation_error_mdeg: 15.0,
             vertical_error_um: 5.0,
+            rotation_repeatability_mdeg: None,
+            vertical_repeatability_um: None,
             mount_um: 10.0,
             mount_mrad: 0.2,
             runout_um: 0.3,
@@ -222,6 +232,19 @@ impl Stages {
     /// Standard uncertainty of the vertical stage's height after a move, mm.
     pub fn vertical_sigma_mm(&self) -> f64 {
         self.vertical_error_um / 1e3 / SQRT_3
+    }
+
+    /// Standard uncertainty of the difference between an approach and the mean of all approaches of the same position: rotary
+    /// stage (rad), vertical stage (mm). Equals the stages' whole uncertainty where no repeatability is stated.
+    pub fn approach_sigma(&self) -> (f64, f64) {
+        let rotation_rad = self
+            .rotation_repeatability_mdeg
+            .map(|mdeg| (mdeg / 1e3).to_radians() / SQRT_3);
+        let vertical_mm = self.vertical_repeatability_um.map(|um| um / 1e3 / SQRT_3);
+        (
+            rotation_rad.unwrap_or(self.rotation_sigma_rad()),
+            vertical_mm.unwrap_or(self.vertical_sigma_mm()),
+        )
     }
 
     /// Standard uncertainty of the head's mounting: along each axis (mm) and about each axis (rad).
@@ -274,6 +297,7 @@ impl StationSettings {
         let moves_stage = stages.moves != Moves::Outside || poses.is_some();
         // False for a NaN.
         let up_to = |value: f64, most: f64| value > 0.0 && value <= most;
+        let within = |value: Option<f64>, most: f64| value.is_none_or(|value| up_to(value, most));
         textfile::require(&[
             (has_name, "name", &"", "a name, or no such line"),
             (has_program(&self.camera.command), "camera.command", &self.camera.command, "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]"),
@@ -288,6 +312,8 @@ impl StationSettings {
             (up_to(self.history.keep_phasors_gb, 1e6), "history.keep_phasors_gb", &self.history.keep_phasors_gb, "more than 0 and at most 1000000 GB"),
             (up_to(stages.rotation_error_mdeg, 1e3), "stages.rotation_error_mdeg", &stages.rotation_error_mdeg, "more than 0 and at most 1000 millidegrees"),
             (up_to(stages.vertical_error_um, 1e3), "stages.vertical_error_um", &stages.vertical_error_um, "more than 0 and at most 1000 um"),
+            (within(stages.rotation_repeatability_mdeg, stages.rotation_error_mdeg), "stages.rotation_repeatability_mdeg", &stages.rotation_repeatability_mdeg, "more than 0 and at most stages.rotation_error_mdeg, or no such line"),
+            (within(stages.vertical_repeatability_um, stages.vertical_error_um), "stages.vertical_repeatability_um", &stages.vertical_repeatability_um, "more than 0 and at most stages.vertical_error_um, or no such line"),
             (up_to(stages.mount_um, 1e3), "stages.mount_um", &stages.mount_um, "more than 0 and at most 1000 um"),
             (up_to(stages.runout_um, 1e3), "stages.runout_um", &stages.runout_um, "more than 0 and at most 1000 um"),
             (up_to(stages.mount_mrad, 100.0), "stages.mount_mrad", &stages.mount_mrad, "more than 0 and at most 100 mrad"),
@@ -330,6 +356,8 @@ mod tests {
         assert_eq!(stages.rotation_sigma_rad(), 15e-3 * pi / 180.0 / SQRT_3);
         assert_eq!(stages.vertical_sigma_mm(), 5e-3 / SQRT_3);
         assert_eq!(stages.mount_sigma(), (10e-3, 0.2e-3));
+        let whole = (stages.rotation_sigma_rad(), stages.vertical_sigma_mm());
+        assert_eq!(stages.approach_sigma(), whole);
         let (one, usual) = (stages.of_single_view(), Local::default());
         assert_eq!(format!("{one:?}"), format!("{usual:?}"));
     }
@@ -352,6 +380,22 @@ mod tests {
             (
                 "[light]\nled_ma = 0\n",
                 ["station.toml:2: ", "led_ma", "1 to 65535 mA"],
+            ),
+            (
+                "[stages]\nrotation_repeatability_mdeg = 16.0\n",
+                [
+                    "station.toml:2: ",
+                    "rotation_repeatability_mdeg",
+                    "at most stages.rotation_error_mdeg",
+                ],
+            ),
+            (
+                "[stages]\nvertical_repeatability_um = 0.0\n",
+                [
+                    "station.toml:2: ",
+                    "vertical_repeatability_um",
+                    "at most stages.vertical_error_um",
+                ],
             ),
             (
                 "[stages]\nmuont_um = 1.0\n",

@@ -65,10 +65,12 @@ fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
     )
 }
 
-/// Covariance of the stages' random errors at every approach; the remaining part of the prior is the mounting of head and die.
+/// Covariance of the stages' random errors at every approach. The remaining part of the prior repeats with every approach of the
+/// same position: the stages' systematic errors, and the mounting of head and die.
 fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
+    let (rotation_rad, vertical_mm) = stages.approach_sigma();
     let mut covariance = Matrix6::zeros();
-    covariance[(2, 2)] = stages.rotation_sigma_rad() * stages.rotation_sigma_rad();
-    covariance[(5, 5)] = stages.vertical_sigma_mm() * stages.vertical_sigma_mm();
+    covariance[(2, 2)] = rotation_rad * rotation_rad;
+    covariance[(5, 5)] = vertical_mm * vertical_mm;
     covariance
 }

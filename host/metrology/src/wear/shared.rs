@@ -27,6 +27,8 @@
 //! The density of t that follows may have several peaks. What is stated is its expectation, and a standard uncertainty so wide
 //! that the coverage intervals for one-sided 95 % and two-sided 95 % reach the quantiles of the density on either side.
 
+use std::f64::consts::SQRT_2;
+
 use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
 use flankscope_foundation::order::midpoint_median;
 use serde::{Deserialize, Serialize};
@@ -75,7 +77,7 @@ pub struct PoseEvidence {
 }
 
 /// Limit of the difference between two captures' mounts that count as the same, in standard uncertainties of the flanks' form.
-const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
+const SAME_MOUNT: f64 = 3.0 * SQRT_2;
 
 /// Standard uncertainties of the stages by which a sound datum is off them with a probability of 1 %, either of both ways counted.
 const STAGES_CONTRADICT: f64 = 2.8;
@@ -214,22 +216,27 @@ impl PoseEvidence {
     pub fn turn(&self, before: Option<&Self>, form_mm: f64, absolute_form_mm: f64) -> Turn {
         let flanks = self.since(before);
         let here_mm = self.approach_sigma_mm.hypot(self.mount_sigma_mm);
-        let (stages_mm, sigma_mm, both_mm) = match before {
-            None => (self.stages_mm, here_mm, self.stages_both_mm),
+        let (stages_mm, sigma_mm, both_hidden_mm) = match before {
+            None => {
+                let both_hidden_mm = self.stages_both_mm.hypot(self.both_sigma_mm);
+                (self.stages_mm, here_mm, both_hidden_mm)
+            }
             Some(before) => {
                 let stays = (0..3)
                     .all(|k| (self.mount_mm[k] - before.mount_mm[k]).abs() <= SAME_MOUNT * form_mm);
                 let both_mm = self.stages_both_mm - before.stages_both_mm;
                 if stays {
                     let sigma_mm = self.approach_sigma_mm.hypot(before.approach_sigma_mm);
-                    (self.stages_mm - before.stages_mm, sigma_mm, both_mm)
+                    // The same mount, and a turn moves both sides in opposite directions: only the form is left in doubt.
+                    let both_hidden_mm = both_mm.hypot(SQRT_2 * form_mm);
+                    (self.stages_mm - before.stages_mm, sigma_mm, both_hidden_mm)
                 } else {
                     // The stages' position now is compared with the pose by the flanks then.
                     let then = before.turn(None, absolute_form_mm, absolute_form_mm);
                     (
                         self.stages_mm - then.mean_mm,
                         here_mm.hypot(then.u_mm),
-                        both_mm,
+                        both_mm.hypot(self.both_sigma_mm),
                     )
                 }
             }
@@ -245,7 +252,7 @@ impl PoseEvidence {
             mean_mm,
             u_mm,
             both_sides_mm: 0.5 * (levels_mm[0] + levels_mm[1]),
-            both_hidden_mm: both_mm.hypot(self.both_sigma_mm),
+            both_hidden_mm,
             from_stages_mm: stages_mm - mean_mm,
             stages_sigma_mm: sigma_mm,
             levels_mm,
@@ -455,6 +462,24 @@ mod tests {
         let [same, other] = [[1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]]
             .map(|mount| mounted(mount).turn(Some(&new), FORM_MM, 4.0 * FORM_MM).u_mm);
         assert!(other > 1.3 * same, "{same} {other}");
+    }
+
+    #[test]
+    fn change_of_both_sides_may_hide_less_in_the_mount_of_the_baseline() {
+        let new = view([0.0; 2], [0.0; 2], 0.0, 0.0);
+        let hidden_mm = |mount_mm, moved_mm| {
+            let now = PoseEvidence {
+                mount_mm,
+                stages_both_mm: moved_mm,
+                ..view([0.03; 2], [0.03; 2], 0.0, 0.0)
+            };
+            let turn = now.turn(Some(&new), FORM_MM, 4.0 * FORM_MM);
+            turn.both_hidden_mm
+        };
+        let (same, other) = ([0.0; 3], [0.01, 0.0, 0.0]);
+        assert!((hidden_mm(same, 0.0) - SQRT_2 * FORM_MM).abs() < 1e-12);
+        assert!(hidden_mm(same, 5e-3) > 5e-3);
+        assert!(hidden_mm(other, 0.0) >= new.both_sigma_mm);
     }
 
     /// Left and right flanks of three teeth, mm: what they lost.

@@ -22,6 +22,8 @@ pub struct AxisModel {
     pub home: f64,
     /// Largest difference of the true position from the reported one; constant at each position.
     pub error: f64,
+    /// Part of the error that differs between runs, at most all of it; the rest is a function of the position.
+    pub repeatability: f64,
     /// Backlash between motor and table: the table lags by half of it in the direction of motion.
     pub backlash: f64,
     /// Number of the move that never ends (stall).
@@ -41,6 +43,7 @@ impl AxisModel {
         travel: (0.0, 0.0),
         home: 0.0,
         error: 0.0,
+        repeatability: 0.0,
         backlash: 0.0,
         stalls_at_move: None,
     };

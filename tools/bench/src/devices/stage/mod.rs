@@ -42,6 +42,7 @@ impl Default for AxisModels {
                 travel: (-361.0, 361.0),
                 home: 0.0,
                 error: 0.015,
+                repeatability: 0.015,
                 backlash: 0.0,
                 stalls_at_move: None,
             },
@@ -56,6 +57,7 @@ impl Default for AxisModels {
                 travel: (-150.0, 150.0),
                 home: 100.0,
                 error: 0.005,
+                repeatability: 0.005,
                 backlash: 0.0,
                 stalls_at_move: None,
             },
@@ -136,7 +138,10 @@ impl StageModel {
     fn pose_of(&self, position: impl Fn(&Axis) -> f64) -> TruePose {
         let [rotation, vertical] = [0, 1].map(|n| {
             let axis = &self.axes[n];
-            let astray = axis.model.error * self.unit_error(n, axis.profile.target());
+            let target = axis.profile.target();
+            let repeats = axis.model.repeatability;
+            let astray = (axis.model.error - repeats) * systematic_error(n, target)
+                + repeats * self.unit_error(n, target);
             position(axis) + astray - 0.5 * axis.model.backlash * axis.sent
         });
         TruePose {
@@ -145,7 +150,7 @@ impl StageModel {
         }
     }
 
-    /// Uniform in -1..1, reproducible for the same axis and position (to a millionth).
+    /// Uniform in -1..1, reproducible for the same seed, axis and position (to a millionth).
     fn unit_error(&self, axis: usize, position: f64) -> f64 {
         let cell = (position * 1e6).round() as i64 as u64;
         let mut mixed =
@@ -156,6 +161,18 @@ impl StageModel {
         mixed ^= mixed >> 31;
         (mixed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
+}
+
+/// Error of an axis that repeats with every approach, -1..1, by position: three harmonics of one turn of the rotary table, or of
+/// 60 mm of the vertical spindle. It does not depend on the seed: every run has the same stages.
+fn systematic_error(axis: usize, position: f64) -> f64 {
+    let turns = position / [360.0, 60.0][axis];
+    (1..=3)
+        .map(|harmonic| {
+            let phase = f64::from(harmonic) * turns + 0.37 * f64::from(harmonic * harmonic);
+            (std::f64::consts::TAU * phase).sin() / 3.0
+        })
+        .sum()
 }
 
 #[cfg(test)]
@@ -341,6 +358,27 @@ mod tests {
         assert!((turned - 0.02).abs() < 1e-9, "{turned}");
         assert!((above.vertical_mm - below.vertical_mm - 0.01).abs() < 1e-9);
         assert_eq!(above, again, "a move to where it stands moves nothing");
+    }
+
+    #[test]
+    fn stage_with_a_repeatability_errs_alike_in_every_run_but_for_that() {
+        let mut axes = AxisModels::default();
+        axes.rotation.repeatability = 0.002;
+        let error_deg = |seed: u64, target: f64| {
+            let mut stage = StageModel::new(axes, seed);
+            ask(&mut stage, 0, &format!("1MO;1PA{target}"));
+            let pose = stage.true_pose(100_000_000);
+            pose.rotation_rad.to_degrees() - target
+        };
+        let mut largest = 0.0_f64;
+        for target in (0..90).map(|n| 4.0 * f64::from(n) - 180.0) {
+            let [one, other] = [3, 4].map(|seed| error_deg(seed, target));
+            assert!((one - other).abs() <= 0.004, "{one} {other}");
+            assert!(one.abs() <= 0.015 + 1e-9, "{one}");
+            assert_ne!(one, other);
+            largest = largest.max(one.abs());
+        }
+        assert!(largest > 0.005, "{largest}");
     }
 
     #[test]
