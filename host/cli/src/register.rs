@@ -55,8 +55,8 @@ pub struct Args {
     #[command(flatten)]
     start: StartPose,
     /// Standard deviation of a point, mm. All limits of the fit scale with it: the first iterations use points up to 250 times this
-    /// distance from the surface, an inlier lies within 7.5 times, and a direction counts as observed if its own standard deviation is
-    /// below half of it.
+    /// distance from the surface, an inlier lies within 7.5 times, a direction is weak if its own standard deviation is above 0.05
+    /// times, and unobserved above 0.5 times.
     #[arg(long, value_name = "MM", default_value_t = TYPICAL_NOISE_MM, value_parser = positive_mm)]
     noise_mm: f64,
     /// Least share of the points that must lie on the surface after the fit, 0 to 1.

@@ -161,7 +161,9 @@ fn unauthorised(wanted: &Uri, refused: bool, lang: Language) -> Response {
 
 fn token(headers: &HeaderMap) -> Option<&str> {
     if let Some(bearer) = text(headers, &header::AUTHORIZATION) {
-        return bearer.strip_prefix("Bearer ");
+        // RFC 9110, 11.1: the name of a scheme is case-insensitive.
+        let (scheme, token) = bearer.split_once(' ')?;
+        return scheme.eq_ignore_ascii_case("Bearer").then_some(token);
     }
     let cookies = text(headers, &header::COOKIE)?.split(';');
     let mut named = cookies.filter_map(|cookie| cookie.trim().split_once('='));
@@ -214,6 +216,22 @@ pub async fn logout() -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bearer_token_is_read_whatever_the_case_of_its_scheme() {
+        for (value, expected) in [
+            ("Bearer abc", Some("abc")),
+            ("bearer abc", Some("abc")),
+            ("BEARER abc", Some("abc")),
+            ("Basic abc", None),
+            ("Bearerabc", None),
+            ("abc", None),
+        ] {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::AUTHORIZATION, HeaderValue::from_static(value));
+            assert_eq!(token(&headers), expected, "{value}");
+        }
+    }
 
     #[test]
     fn a_change_is_refused_for_an_origin_that_is_foreign_doubled_or_not_ascii() {
