@@ -115,6 +115,39 @@ fn channels_may_disagree_for_the_discrepancy_time_and_no_longer() {
 }
 
 #[test]
+fn press_is_open_only_where_both_channels_say_so() {
+    for (a, b, is_open) in [
+        (false, false, false),
+        (false, true, false),
+        (true, true, false),
+        (true, false, true),
+    ] {
+        let levels = Levels {
+            press_open_a: a,
+            press_open_b: b,
+            ..OPEN
+        };
+        let interlock = Interlock::new(Timing::DEFAULT);
+        let inputs = interlock.inputs(levels, NONE, Expired::default(), false);
+        assert_eq!(inputs.press_open(), is_open, "{a} {b}");
+    }
+}
+
+#[test]
+fn expired_time_without_effect_is_not_waited_for_again() {
+    // Never released, so that the channels' disagreement has nothing left to lock.
+    let mut interlock = Interlock::new(Timing::DEFAULT);
+    let both = Levels {
+        press_open_b: true,
+        ..OPEN
+    };
+    interlock.sample_inputs(ms(100), both, OUT, NONE);
+    assert_eq!(interlock.deadline(ms(100)), Some(ms(600)));
+    interlock.sample_inputs(ms(600), both, OUT, NONE);
+    assert_eq!(interlock.deadline(ms(600)), None);
+}
+
+#[test]
 fn a_head_that_does_not_come_out_locks_with_head_clear_low() {
     let mut interlock = entered();
     let away = Levels {
