@@ -227,7 +227,7 @@ impl PoseEvidence {
                 let both_mm = self.stages_both_mm - before.stages_both_mm;
                 if stays {
                     let sigma_mm = self.approach_sigma_mm.hypot(before.approach_sigma_mm);
-                    // The same mount, and a turn moves both sides in opposite directions: only the form is left in doubt.
+                    // A turn moves both sides in opposite directions, so that in an unchanged mount only the form is left in doubt.
                     let both_hidden_mm = both_mm.hypot(SQRT_2 * form_mm);
                     (self.stages_mm - before.stages_mm, sigma_mm, both_hidden_mm)
                 } else {

@@ -367,7 +367,7 @@ mod tests {
             ("x,y\n1,2\n", |e| {
                 matches!(e, CloudError::Heading { line: 1, .. })
             }),
-            // As `write.table` of R writes row names.
+            // Row names, written by `write.table` of R.
             ("x y z\n1 1.5 2 3\n2 4 5 6\n", |e| {
                 matches!(e, CloudError::Heading { .. })
             }),
