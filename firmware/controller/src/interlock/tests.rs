@@ -137,13 +137,13 @@ fn press_is_open_only_where_both_channels_say_so() {
 fn expired_time_without_effect_is_not_waited_for_again() {
     // Never released, so that the channels' disagreement has nothing left to lock.
     let mut interlock = Interlock::new(Timing::DEFAULT);
-    let both = Levels {
+    let disagreeing = Levels {
         press_open_b: true,
         ..OPEN
     };
-    interlock.sample_inputs(ms(100), both, OUT, NONE);
+    interlock.sample_inputs(ms(100), disagreeing, OUT, NONE);
     assert_eq!(interlock.deadline(ms(100)), Some(ms(600)));
-    interlock.sample_inputs(ms(600), both, OUT, NONE);
+    interlock.sample_inputs(ms(600), disagreeing, OUT, NONE);
     assert_eq!(interlock.deadline(ms(600)), None);
 }
 
