@@ -2,7 +2,7 @@
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::feature::Features;
-use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData, LAND_DEPTH_MODULES};
 use flankscope_metrology::patch::{Patch, Patches};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::{Datum, Tool};
@@ -56,7 +56,7 @@ fn on_gear(
     if !bands_mm.is_empty() {
         return within_bands(bands_mm, gear, points);
     }
-    let margin_mm = 0.05 * gear.module_mm;
+    let margin_mm = LAND_DEPTH_MODULES * gear.module_mm;
     let (low_mm, high_mm) = (
         gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,
         gear.tip_radius_mm.max(gear.root_radius_mm) - margin_mm,

@@ -238,12 +238,15 @@ impl Judging<'_> {
             sigma_mm,
             sight: None,
         };
+        let anywhere = anywhere(&registration);
         let fitted = FittedView {
             features,
             zone,
             registration: &registration,
-            prior: &anywhere(&registration),
+            prior: &anywhere,
+            stages: &anywhere,
             approach: Matrix6::zeros(),
+            same_mount: None,
             options: &options,
             closest: &closest,
             used: &used,

@@ -9,6 +9,8 @@
 //! | `views` | from one view's sums to points, pose and wear |
 //! | `exposures` | tests whether the exposures of a view show the same scene |
 //! | `outcome` | outcome of one view, captured once or more often |
+//! | `fit` | registration of a view to the CAD |
+//! | `mount` | pose by the lands, in the mounting of the baseline |
 //! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
 //! | `die_size` | tests whether the die in view has the drawing's size |
 //! | `maps` | deviation maps for a report |
@@ -23,12 +25,14 @@ mod datum;
 mod die_size;
 mod exposures;
 mod findings;
+mod fit;
 mod flank_decision;
 mod foreign_cloud;
 mod head_error;
 mod in_view;
 mod job;
 mod maps;
+mod mount;
 mod outcome;
 mod place;
 mod recipe;

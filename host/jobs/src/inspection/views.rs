@@ -8,24 +8,27 @@ use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::feature::Features;
 use flankscope_metrology::gear::{Flank, FlankPlace};
-use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::registration::{Registration, Status};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Sight, WearSettings};
+use flankscope_metrology::wear::{
+    self, FlankWear, Measured, MountPose, PoseEvidence, Sight, WearSettings,
+};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
 
 use super::exposures::exposures_disagree;
+use super::fit::{Fit, View};
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
 use super::in_view::{self, InView};
 use super::outcome::ViewOutcome;
 use super::place::Place;
 use super::verdict::Judged;
-use super::{datum, die_size, maps};
+use super::{datum, die_size, maps, mount};
 use crate::plan::ViewPlan;
 use crate::plan::{FieldOfView, NoVolume};
 use crate::subject::Subject;
@@ -243,7 +246,8 @@ impl Evaluator {
         }
         let cold = self.cold(&decoded);
         laps.lap("outliers");
-        let fit = self.fit(place, &cold.points);
+        let view = self.view(place, &cold.points);
+        let fit = self.fit(&view);
         laps.lap("registration");
         let located: Vec<[f64; 3]> = cold
             .points
@@ -252,6 +256,12 @@ impl Evaluator {
             .collect();
         let closest = place.surface.closest_many(&located);
         laps.lap("deviation");
+        // A check without a baseline may become one.
+        let to_record = mount::seat(&view).filter(|_| self.criteria.baseline.is_none());
+        let mount = to_record.and_then(|seat| {
+            let stages = &view.stages.tool_from_cloud;
+            MountPose::new(&seat, stages, &fit.registration.tool_from_cloud, &closest)
+        });
         let places = wear::places(self.features(), &closest);
         let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
         // Outliers come last: light did reach them.
@@ -323,7 +333,7 @@ impl Evaluator {
                 ..summary(place, points, &fit.registration, laps.elapsed_ms)
             }],
             fields,
-            pose: assessed.pose,
+            pose: assessed.pose.map(|pose| PoseEvidence { mount, ..pose }),
             maps,
             deviations_um,
             phasors: Vec::new(),
@@ -378,33 +388,25 @@ impl Evaluator {
         others.count() as f64 / points.len().max(1) as f64
     }
 
-    /// Registers the points to the CAD, starting at the stages' pose.
-    fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
+    /// A view of these points, with what is known of its pose.
+    fn view<'a>(&'a self, place: &'a Place, points: &'a [[f64; 3]]) -> View<'a> {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
-        let expected = points.par_iter().map(|&p| tool_from_camera.apply(p));
-        let expected: Vec<[f64; 3]> = expected.collect();
-        // By the stages' pose, which is off by hundredths of a millimetre.
-        let tool = &self.criteria.tool;
-        let used = datum::used(tool, &[place.tooth], &place.surface, &expected);
-        let datum: Vec<[f64; 3]> = points
-            .iter()
-            .zip(&used)
-            .filter(|(_, used)| **used)
-            .map(|(p, _)| *p)
-            .collect();
-        let prior = place.prior(tool_from_camera, &self.stages);
-        let options = Options {
-            initial: prior.tool_from_cloud,
-            prior: Some(prior.clone()),
-            teeth: self.features().gear().map(|gear| gear.teeth),
-            ..Options::default()
-        };
-        Fit {
-            registration: register(&*place.surface, &datum, None, &options),
-            used,
-            prior,
-            options,
+        View {
+            place,
+            tool: &self.criteria.tool,
+            points,
+            stages: place.prior(tool_from_camera, &self.stages),
+            approach: place.approach(&self.stages),
+            form_mm: self.criteria.settings.form_mm(true),
         }
+    }
+
+    /// Lays the points on the CAD: where the baseline's mounting puts them, or else by a fit on the tool's datum.
+    fn fit(&self, view: &View<'_>) -> Fit {
+        let baseline = self.criteria.baseline.as_ref();
+        let then = baseline.and_then(|baseline| baseline.pose(view.place.tooth)?.mount);
+        let in_mount = then.and_then(|recorded| mount::fit_in(view, recorded));
+        in_mount.unwrap_or_else(|| view.fit_on_datum())
     }
 
     /// Wear and decision of both flanks of the middle tooth, and wear of its neighbours in view.
@@ -424,7 +426,9 @@ impl Evaluator {
             zone: &place.zone,
             registration: &fit.registration,
             prior: &fit.prior,
+            stages: &fit.stages,
             approach: place.approach(&self.stages),
+            same_mount: fit.same_mount(),
             options: &fit.options,
             closest: measured.closest,
             used: &fit.used,
@@ -578,15 +582,6 @@ struct ColdPoints {
     light: Vec<f32>,
     /// Indices of the cloud's outliers.
     dropped: Vec<usize>,
-}
-
-/// A view registered to the CAD.
-struct Fit {
-    registration: Registration,
-    /// For every point, whether the fit used it.
-    used: Vec<bool>,
-    prior: Prior,
-    options: Options,
 }
 
 /// Result for both flanks of a view's middle tooth.

@@ -157,7 +157,8 @@ fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
         mount_sigma_mm: 0.0,
         stages_both_mm: 0.0,
         both_sigma_mm: f64::INFINITY,
-        mount_mm: [0.0; 3],
+        mount: None,
+        same_mount: None,
     };
     (
         evidence,

@@ -7,6 +7,9 @@ pub mod evaluation;
 
 use std::f64::consts::{PI, TAU};
 
+/// Depth to which a point counts for a tip or root land, modules.
+pub const LAND_DEPTH_MODULES: f64 = 0.05;
+
 /// On which side of the pitch circle the teeth point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -15,6 +18,15 @@ pub enum GearKind {
     Internal,
     /// Teeth point outwards.
     External,
+}
+
+/// Cylindrical face between two flanks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Land {
+    /// End of a tooth.
+    Tip,
+    /// Bottom of a space.
+    Root,
 }
 
 /// A tooth's side, or the only one of what is no tooth.
@@ -336,6 +348,27 @@ impl GearData {
         }
     }
 
+    /// The land on whose middle half a point lies, as far as its radius and angle tell: there, neither a worn flank nor a rounding
+    /// beside the land changes it.
+    pub fn middle_of_land(&self, [x, y, _]: [f64; 3]) -> Option<Land> {
+        let (radius, angle) = (x.hypot(y), y.atan2(x));
+        let outside = |of_land: f64, other: f64| {
+            (radius - of_land) * (of_land - other).signum() >= -LAND_DEPTH_MODULES * self.module_mm
+        };
+        let off = wrapped(angle - self.tooth_centre_rad(self.tooth_at(angle)));
+        let half_tooth = |at: f64| self.half_tooth_rad(at.max(self.base_radius_mm()));
+        let (tip, root) = (self.tip_radius_mm, self.root_radius_mm);
+        if outside(tip, root) {
+            (off.abs() <= 0.5 * half_tooth(tip)?).then_some(Land::Tip)
+        } else if outside(root, tip) {
+            let half_pitch = 0.5 * self.pitch_rad();
+            let half_space = half_pitch - half_tooth(root)?;
+            (half_pitch - off.abs() <= 0.5 * half_space).then_some(Land::Root)
+        } else {
+            None
+        }
+    }
+
     /// Area of the toothing without end faces, mm²: lands and involutes; the root's rounding is not in the data.
     pub fn area_mm2(&self) -> f64 {
         let land = |radius_mm: f64, tip: bool| {
@@ -418,6 +451,45 @@ pub(crate) mod tests {
                     "{offset}: {exact} against {nearest}"
                 );
                 assert!((exact - offset).abs() < 1e-9, "{offset}: {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn middle_of_a_land_begins_half_way_from_its_middle_to_the_flank() {
+        let ring = ring84();
+        let wheel = GearData {
+            kind: GearKind::External,
+            teeth: 24,
+            tip_radius_mm: 13.0,
+            root_radius_mm: 10.75,
+            ..ring84()
+        };
+        for gear in [ring, wheel] {
+            let (tip, root) = (gear.tip_radius_mm, gear.root_radius_mm);
+            let inwards = (root - tip).signum();
+            for (tooth, flank) in [(1, Flank::Left), (7, Flank::Right)] {
+                let centre = gear.tooth_centre_rad(tooth);
+                let space = centre + flank.sign() * 0.5 * gear.pitch_rad();
+                for (radius, middle, land) in [(tip, centre, Land::Tip), (root, space, Land::Root)]
+                {
+                    // Inside the base circle there is no involute.
+                    let edge = gear
+                        .half_tooth_rad(radius.max(gear.base_radius_mm()))
+                        .unwrap();
+                    let edge = centre + flank.sign() * edge;
+                    let at = |share: f64, radius: f64| {
+                        let angle = middle + share * (edge - middle);
+                        gear.middle_of_land([radius * angle.cos(), radius * angle.sin(), 3.0])
+                            == Some(land)
+                    };
+                    assert!(at(0.0, radius) && at(0.49, radius) && !at(0.51, radius));
+                    let into_tooth = if land == Land::Tip { inwards } else { -inwards };
+                    assert!(
+                        at(0.3, radius + 0.04 * into_tooth) && !at(0.3, radius + 0.06 * into_tooth)
+                    );
+                    assert!(at(0.3, radius - 0.06 * into_tooth));
+                }
             }
         }
     }

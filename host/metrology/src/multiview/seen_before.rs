@@ -174,7 +174,8 @@ mod tests {
                 mount_sigma_mm: 1e-3,
                 stages_both_mm: 0.0,
                 both_sigma_mm: 1e-3,
-                mount_mm: [0.0; 3],
+                mount: None,
+                same_mount: None,
             }
         };
         [12, 40, 68].map(view).into()

@@ -22,6 +22,7 @@ mod figures;
 mod further;
 mod gather;
 pub mod leakage;
+pub mod mount;
 mod one_sided;
 mod scratches;
 pub mod sensitivity;
@@ -46,8 +47,9 @@ use field::WearSample;
 pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
+pub use mount::MountPose;
 pub use sensitivity::PoseSensitivity;
-pub use shared::{ANY_POSE_MM, OppositeChange, PoseEvidence, SeenFlank, Turn};
+pub use shared::{ANY_POSE_MM, OppositeChange, PoseEvidence, SameMount, SeenFlank, Turn};
 pub use sight::Sight;
 use sight::Visibility;
 
@@ -119,7 +121,7 @@ impl WearSettings {
     }
 
     /// To what a flank's form is known, mm: calibration, CAD and as-built form, or what is left of them since a baseline.
-    fn form_mm(&self, since_baseline: bool) -> f64 {
+    pub fn form_mm(&self, since_baseline: bool) -> f64 {
         let film_mm = self.film_mm / 12f64.sqrt();
         if since_baseline {
             self.drift_mm.hypot(film_mm * 2f64.sqrt())
@@ -485,7 +487,12 @@ impl FlankWear {
         self.budget.cad_mm = 0.0;
         self.budget.as_built_mm = 0.0;
         self.budget.film_mm = settings.film_mm / 6f64.sqrt();
-        self.budget.reference_mm = self.budget.registration_mm;
+        // In the mounting of the baseline the pose is stated relative to the baseline's.
+        let evidence = self.measured.views.iter().flat_map(|view| &view.evidence);
+        self.budget.reference_mm = match evidence.clone().next() {
+            Some(_) if evidence.clone().all(|of| of.same_mount.is_some()) => 0.0,
+            _ => self.budget.registration_mm,
+        };
         self.refigure(Some(reference), before, settings);
         Ok(self)
     }

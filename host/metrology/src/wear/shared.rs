@@ -33,6 +33,7 @@ use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
 use flankscope_foundation::order::midpoint_median;
 use serde::{Deserialize, Serialize};
 
+use super::mount::MountPose;
 use crate::gear::Flank;
 
 /// Standard uncertainty of a pose that only the flanks determine, as wear, mm: wider than any wear of a usable gear, narrow enough for
@@ -71,13 +72,24 @@ pub struct PoseEvidence {
     pub stages_both_mm: f64,
     /// Standard uncertainty of that, mm.
     pub both_sigma_mm: f64,
-    /// Pose components that the view determines and no stage moves, by the mount: shift towards the axis, and both tilts over
-    /// the view's height, mm.
-    pub mount_mm: [f64; 3],
+    /// How die and head are mounted; none where the lands were not seen well enough.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mount: Option<MountPose>,
+    /// Where the pose would be by the baseline; none where the mounting is another one.
+    #[serde(skip)]
+    pub same_mount: Option<SameMount>,
 }
 
-/// Limit of the difference between two captures' mounts that count as the same, in standard uncertainties of the flanks' form.
-const SAME_MOUNT: f64 = 3.0 * SQRT_2;
+/// Pose that a view would have in the mounting of its baseline.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SameMount {
+    /// The t that would bring the view's pose there, mm.
+    pub turned_mm: f64,
+    /// Standard uncertainty of that by both approaches of the stages, and by the mounting's drift, mm.
+    pub sigma_mm: f64,
+    /// Change of the wear of both sides alike if the pose were there, mm.
+    pub both_mm: f64,
+}
 
 /// Standard uncertainties of the stages by which a sound datum is off them with a probability of 1 %, either of both ways counted.
 const STAGES_CONTRADICT: f64 = 2.8;
@@ -221,25 +233,23 @@ impl PoseEvidence {
                 let both_hidden_mm = self.stages_both_mm.hypot(self.both_sigma_mm);
                 (self.stages_mm, here_mm, both_hidden_mm)
             }
-            Some(before) => {
-                let stays = (0..3)
-                    .all(|k| (self.mount_mm[k] - before.mount_mm[k]).abs() <= SAME_MOUNT * form_mm);
-                let both_mm = self.stages_both_mm - before.stages_both_mm;
-                if stays {
-                    let sigma_mm = self.approach_sigma_mm.hypot(before.approach_sigma_mm);
-                    // A turn moves both sides in opposite directions, so that in an unchanged mount only the form is left in doubt.
-                    let both_hidden_mm = both_mm.hypot(SQRT_2 * form_mm);
-                    (self.stages_mm - before.stages_mm, sigma_mm, both_hidden_mm)
-                } else {
-                    // The stages' position now is compared with the pose by the flanks then.
+            Some(before) => match &self.same_mount {
+                // A turn moves both sides in opposite directions, so that in the same mounting only the form is left in doubt.
+                Some(same) => {
+                    let both_hidden_mm = same.both_mm.hypot(SQRT_2 * form_mm);
+                    (same.turned_mm, same.sigma_mm, both_hidden_mm)
+                }
+                // The stages' position now is compared with the pose by the flanks then.
+                None => {
                     let then = before.turn(None, absolute_form_mm, absolute_form_mm);
+                    let both_mm = self.stages_both_mm - before.stages_both_mm;
                     (
                         self.stages_mm - then.mean_mm,
                         here_mm.hypot(then.u_mm),
                         both_mm.hypot(self.both_sigma_mm),
                     )
                 }
-            }
+            },
         };
         let (mean_mm, u_mm) = posterior(&flanks, [stages_mm, sigma_mm], form_mm);
         let level_mm = |side: Flank| {
@@ -388,7 +398,8 @@ mod tests {
             mount_sigma_mm: 0.0,
             stages_both_mm: 0.0,
             both_sigma_mm: 3e-3,
-            mount_mm: [0.0; 3],
+            mount: None,
+            same_mount: None,
         }
     }
 
@@ -448,38 +459,48 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_mount_that_changed_counts_again() {
-        let mounted = |mount_mm| PoseEvidence {
-            mount_sigma_mm: 3.0 * STAGES_MM,
-            mount_mm,
-            ..view([0.055; 2], [0.0; 2], 0.0, 0.0)
-        };
-        let new = PoseEvidence {
+    /// Since a baseline of a sound die: in its mounting, or in another one.
+    fn in_mount(same_mount: Option<SameMount>, worn_mm: [f64; 2]) -> Turn {
+        let mounted = PoseEvidence {
             mount_sigma_mm: 3.0 * STAGES_MM,
             ..view([0.0; 2], [0.0; 2], 0.0, 0.0)
         };
-        let [same, other] = [[1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]]
-            .map(|mount| mounted(mount).turn(Some(&new), FORM_MM, 4.0 * FORM_MM).u_mm);
-        assert!(other > 1.3 * same, "{same} {other}");
+        let now = PoseEvidence {
+            flanks: view([worn_mm[0]; 2], [worn_mm[1]; 2], 0.0, 0.0).flanks,
+            same_mount,
+            ..mounted.clone()
+        };
+        now.turn(Some(&mounted), FORM_MM, 4.0 * FORM_MM)
+    }
+
+    /// The pose is where the baseline's mounting puts it, but for the approaches.
+    const SAME: SameMount = SameMount {
+        turned_mm: 0.0,
+        sigma_mm: 1e-3,
+        both_mm: 0.0,
+    };
+
+    #[test]
+    fn one_side_is_known_as_well_as_the_stages_repeat_in_the_mounting_of_the_baseline() {
+        let same = in_mount(Some(SAME), [0.055, 0.0]);
+        assert!(
+            same.mean_mm.abs() < 2.0 * same.u_mm && same.u_mm < 2e-3,
+            "{same:?}"
+        );
+        let other = in_mount(None, [0.055, 0.0]);
+        assert!(other.u_mm > STAGES_MM, "{other:?}");
     }
 
     #[test]
-    fn change_of_both_sides_may_hide_less_in_the_mount_of_the_baseline() {
-        let new = view([0.0; 2], [0.0; 2], 0.0, 0.0);
-        let hidden_mm = |mount_mm, moved_mm| {
-            let now = PoseEvidence {
-                mount_mm,
-                stages_both_mm: moved_mm,
-                ..view([0.03; 2], [0.03; 2], 0.0, 0.0)
-            };
-            let turn = now.turn(Some(&new), FORM_MM, 4.0 * FORM_MM);
-            turn.both_hidden_mm
+    fn change_of_both_sides_may_hide_less_in_the_mounting_of_the_baseline() {
+        let hidden_mm = |same| in_mount(same, [0.03; 2]).both_hidden_mm;
+        assert!((hidden_mm(Some(SAME)) - SQRT_2 * FORM_MM).abs() < 1e-12);
+        let moved = SameMount {
+            both_mm: 5e-3,
+            ..SAME
         };
-        let (same, other) = ([0.0; 3], [0.01, 0.0, 0.0]);
-        assert!((hidden_mm(same, 0.0) - SQRT_2 * FORM_MM).abs() < 1e-12);
-        assert!(hidden_mm(same, 5e-3) > 5e-3);
-        assert!(hidden_mm(other, 0.0) >= new.both_sigma_mm);
+        assert!(hidden_mm(Some(moved)) > 5e-3);
+        assert!(hidden_mm(None) >= view([0.0; 2], [0.0; 2], 0.0, 0.0).both_sigma_mm);
     }
 
     /// Left and right flanks of three teeth, mm: what they lost.

@@ -20,7 +20,7 @@ use super::PoseEvidence;
 use super::leakage::Leakage;
 
 pub use scan::{HeldView, ScanSensitivity, ScanView, registration_mm};
-pub use view::{FittedView, LEAST_POINTS};
+pub use view::{FittedView, FoundMount, LEAST_POINTS};
 
 /// Effect of pose and temperature on one flank.
 #[derive(Debug, Clone, PartialEq)]

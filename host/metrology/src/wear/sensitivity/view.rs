@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use flankscope_foundation::order::median_of;
-use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::super::leakage::{self, Leakage};
-use super::super::{PoseEvidence, SeenFlank, Zone};
+use super::super::{MountPose, PoseEvidence, SameMount, SeenFlank, Zone};
 use super::{ExpansionUncertainty, PoseSensitivity, motion_row};
 use crate::feature::Features;
 use crate::gear::{Flank, FlankPlace};
@@ -26,10 +26,14 @@ pub struct FittedView<'a> {
     pub zone: &'a Zone,
     /// Result of the fit.
     pub registration: &'a Registration,
-    /// Expected pose with its covariance, from the stages.
+    /// Expected pose with its covariance that the fit was given.
     pub prior: &'a Prior,
+    /// Expected pose with its covariance, from the stages.
+    pub stages: &'a Prior,
     /// The part of the prior's covariance that is drawn anew with every approach of the stages.
     pub approach: Matrix6<f64>,
+    /// The mounting of the baseline, where it is the same.
+    pub same_mount: Option<FoundMount<'a>>,
     /// Settings of the fit.
     pub options: &'a Options,
     /// Nearest surface point of every point.
@@ -44,6 +48,17 @@ pub struct FittedView<'a> {
     pub expansion: Option<ExpansionUncertainty>,
     /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on, but of a patch's datum always.
     pub form_in_doubt: bool,
+}
+
+/// A mounting that was found to be the baseline's.
+#[derive(Clone, Copy)]
+pub struct FoundMount<'a> {
+    /// As the baseline recorded it.
+    pub recorded: &'a MountPose,
+    /// Covariance of both approaches of the stages, theirs and now, about the tool's origin.
+    pub approaches: Matrix6<f64>,
+    /// Standard uncertainty of the mounting's drift along the circumference, which no land shows, mm.
+    pub drift_mm: f64,
 }
 
 /// Points of one flank in the judged radii and heights.
@@ -238,25 +253,39 @@ impl FittedView<'_> {
                 per_turn: -on.motion().dot(&about_axis) / unit,
             })
             .collect();
-        // The motion from the fitted pose to that of the stages, about the cloud's centre.
-        let expected = self.prior.tool_from_cloud.isometry();
-        let motion = expected * self.registration.tool_from_cloud.isometry().inverse();
-        let turn = motion.rotation.scaled_axis();
-        let shift = motion * Point3::from(centre) - Point3::from(centre);
-        let back = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
-        let away = centre - Vector3::from(self.prior.pivot_mm);
+        // The motion about the cloud's centre from the fitted pose to another one.
+        let to = |expected: &Isometry3<f64>| {
+            let motion = expected * self.registration.tool_from_cloud.isometry().inverse();
+            let turn = motion.rotation.scaled_axis();
+            let shift = motion * Point3::from(centre) - Point3::from(centre);
+            Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+        };
+        let back = to(self.stages.tool_from_cloud.isometry());
+        let away = centre - Vector3::from(self.stages.pivot_mm);
         let sigma = |of: Vector6<f64>, covariance: &Matrix6<f64>| {
             of.dot(&(about(away, covariance) * of)).max(0.0).sqrt()
         };
-        let all = &self.prior.covariance;
+        let all = &self.stages.covariance;
         // Of both sides alike: the mean of the two flanks' motions.
         let both = match (own(Flank::Left), own(Flank::Right)) {
             (Some(left), Some(right)) => -0.5 * (left + right),
             (Some(one), None) | (None, Some(one)) => -one,
             (None, None) => Vector6::zeros(),
         };
-        let towards_axis = -Vector3::new(centre.x, centre.y, 0.0).normalize();
-        let half_height = 0.5 * (self.zone.height_mm[1] - self.zone.height_mm[0]);
+        let across = across.normalize();
+        let same_mount = self.same_mount.as_ref().map(|of| {
+            let back = to(of
+                .recorded
+                .expected(&self.stages.tool_from_cloud)
+                .isometry());
+            let along: f64 = (0..3).map(|k| difference[3 + k] * across[k]).sum();
+            let approaches = difference.dot(&(about(centre, &of.approaches) * difference));
+            SameMount {
+                turned_mm: difference.dot(&back),
+                sigma_mm: approaches.max(0.0).sqrt().hypot(along * of.drift_mm),
+                both_mm: both.dot(&back),
+            }
+        });
         PoseEvidence {
             tooth: Some(tooth),
             flanks,
@@ -265,11 +294,8 @@ impl FittedView<'_> {
             mount_sigma_mm: sigma(difference, &(all - self.approach)),
             stages_both_mm: both.dot(&back),
             both_sigma_mm: sigma(both, all),
-            mount_mm: [
-                towards_axis.dot(&shift),
-                half_height * turn.x,
-                half_height * turn.y,
-            ],
+            mount: None,
+            same_mount,
         }
     }
 }

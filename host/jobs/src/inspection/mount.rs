@@ -1,0 +1,50 @@
+//! Pose of a view in the mounting of its baseline.
+
+use flankscope_metrology::registration::Options;
+use flankscope_metrology::wear::MountPose;
+use flankscope_metrology::wear::mount::Seat;
+use rayon::prelude::*;
+
+use super::fit::{Fit, InMount, View};
+
+/// Place of a view whose mounting can be compared; none on tools without a toothing, on those with a datum of their own, and
+/// where no stage states the pose.
+pub(super) fn seat<'a>(view: &View<'a>) -> Option<Seat<'a>> {
+    let gear = view.tool.gear.as_ref()?;
+    let inspect = view.tool.inspect.as_ref()?;
+    let by_stages = inspect.datum_height_mm.is_empty() && view.place.stated.is_none();
+    by_stages.then(|| Seat::new(gear, &view.place.zone, view.place.tooth))
+}
+
+/// Lays a view where the `recorded` mounting puts it. `None` where the lands do not confirm that mounting.
+pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
+    let seat = seat(view)?;
+    let stages = &view.stages.tool_from_cloud;
+    let expected = recorded.expected(stages);
+    let located = view.points.par_iter().map(|&point| expected.apply(point));
+    let located: Vec<[f64; 3]> = located.collect();
+    let used: Vec<bool> = located
+        .iter()
+        .map(|&point| seat.is_on_land(point))
+        .collect();
+    let lands = located.iter().zip(&used).filter(|(_, used)| **used);
+    let lands: Vec<[f64; 3]> = lands.map(|(point, _)| *point).collect();
+    let closest = view.place.surface.closest_many(&lands);
+    let (registration, prior) = recorded.registration(&seat, stages, &closest, view.form_mm)?;
+    Some(Fit {
+        options: Options {
+            initial: prior.tool_from_cloud,
+            prior: Some(prior.clone()),
+            ..Options::default()
+        },
+        registration,
+        used,
+        prior,
+        stages: view.stages.clone(),
+        in_mount: Some(InMount {
+            recorded,
+            approaches: 2.0 * view.approach,
+            drift_mm: view.form_mm,
+        }),
+    })
+}

@@ -1,0 +1,340 @@
+//! Pose of a view as far as the mounting of die and head determines it: the same at every check until one of them is taken out.
+//!
+//! A pose that rests on flanks follows their wear. A baseline therefore records the motion from where the stages put a view to the
+//! pose that its flanks were read at, and how the middles of tip and root lands lie in that pose. Where the lands lie the same at a
+//! later check, in the pose that the stages then give, the mounting is the same: that pose is the view's, whatever the flanks lost.
+//! Tips and roots are compared each for themselves, since a die is not built as drawn, and its tips may wear. Lands determine the distance from the axis and the tilt along the height. A rotation about the axis they do not show, nor a tilt
+//! about the line of sight: what the approaches of the stages add to the first is part of the view's evidence.
+
+use flankscope_foundation::order::median_of;
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
+use nalgebra::{
+    Isometry3, Matrix2, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector2, Vector3,
+};
+use serde::{Deserialize, Serialize};
+
+use super::Zone;
+use super::sensitivity::{LEAST_POINTS, motion_row};
+use crate::gear::{GearData, Land};
+use crate::registration::{Prior, Registration, Status};
+use crate::surface::Closest;
+
+/// Largest motion of the lands within one mounting, in standard uncertainties of a flank's form: three, of a difference of two.
+const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
+/// Stands for a direction that the mounting keeps, rad and mm.
+const KEPT: f64 = 1e-6;
+/// Steps of the robust fit.
+const STEPS: usize = 10;
+/// Standard deviations of a normal error per median of its size.
+const SIGMA_PER_MAD: f64 = 1.4826;
+
+/// A rigid motion in tool coordinates: rotation vector (rad), then translation (mm).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Motion([f64; 6]);
+
+impl Motion {
+    fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
+        let motion = to * from.inverse();
+        let (turn, shift) = (motion.rotation.scaled_axis(), motion.translation.vector);
+        Self([turn.x, turn.y, turn.z, shift.x, shift.y, shift.z])
+    }
+
+    fn isometry(&self) -> Isometry3<f64> {
+        let [a, b, c, x, y, z] = self.0;
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(a, b, c));
+        Isometry3::from_parts(Translation3::new(x, y, z), rotation)
+    }
+}
+
+/// Mounting of die and head as one view shows it, recorded in a baseline.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MountPose {
+    /// From the stages' pose to the one at which the flanks were read.
+    from_stages: Motion,
+    /// Motion from there that would bring the roots onto the CAD: towards the axis, and tilt over half of the zone's height, mm. None
+    /// where too little was seen of them.
+    roots_mm: Option<[f64; 2]>,
+    /// The same of the tips.
+    tips_mm: Option<[f64; 2]>,
+}
+
+/// Place of a view on a gear: middle of the judged zone of its tooth.
+#[derive(Debug, Clone, Copy)]
+pub struct Seat<'a> {
+    gear: &'a GearData,
+    at_mm: Vector3<f64>,
+    half_height_mm: f64,
+}
+
+/// Tips or roots of a view.
+#[derive(Debug, Clone, Copy)]
+struct Lands {
+    motion_mm: Vector2<f64>,
+    /// Points within three robust standard deviations, and their root mean square distance, mm.
+    inliers: usize,
+    rms_mm: f64,
+    /// Robust standard deviation, mm.
+    noise_mm: f64,
+}
+
+impl<'a> Seat<'a> {
+    /// Of the view of a tooth.
+    pub fn new(gear: &'a GearData, zone: &Zone, tooth: u32) -> Self {
+        let [low, high] = zone.height_mm;
+        let angle = gear.tooth_centre_rad(tooth);
+        let radius = gear.pitch_radius_mm();
+        Self {
+            gear,
+            at_mm: Vector3::new(
+                radius * angle.cos(),
+                radius * angle.sin(),
+                0.5 * (low + high),
+            ),
+            half_height_mm: 0.5 * (high - low),
+        }
+    }
+
+    /// Whether a point (tool frame, mm) lies on the middle of a land.
+    pub fn is_on_land(&self, point: [f64; 3]) -> bool {
+        self.gear.middle_of_land(point).is_some()
+    }
+
+    fn towards_axis(&self) -> Vector3<f64> {
+        -Vector3::new(self.at_mm.x, self.at_mm.y, 0.0).normalize()
+    }
+
+    /// Motion of the cloud by a shift towards the axis and a tilt over half of the height, mm.
+    fn motion(&self, mm: Vector2<f64>) -> Isometry3<f64> {
+        let across = Vector3::z().cross(&self.towards_axis());
+        let turn = UnitQuaternion::from_scaled_axis(across * (mm[1] / self.half_height_mm));
+        let about = Isometry3::rotation_wrt_point(turn, self.at_mm.into());
+        Translation3::from(self.towards_axis() * mm[0]) * about
+    }
+
+    /// Robust fit of all tips or roots; none with too few points below or above the middle of the zone.
+    fn lands(&self, land: Land, closest: &[Closest]) -> Option<Lands> {
+        let towards_axis = self.towards_axis();
+        let across = Vector3::z().cross(&towards_axis) / self.half_height_mm;
+        let of_lands = closest.iter().filter(|at| {
+            let is_on = || self.gear.middle_of_land(at.point) == Some(land);
+            at.signed_distance_mm.is_finite() && at.is_smooth() && is_on()
+        });
+        let rows: Vec<(Vector2<f64>, f64)> = of_lands
+            .clone()
+            .map(|at| {
+                let row = motion_row(at.point, at.normal, self.at_mm);
+                let (turn, shift) = (row.fixed_rows::<3>(0), row.fixed_rows::<3>(3));
+                let row = Vector2::new(shift.dot(&towards_axis), turn.dot(&across));
+                (row, at.signed_distance_mm)
+            })
+            .collect();
+        let above = of_lands.filter(|at| at.point[2] > self.at_mm.z).count();
+        if above.min(rows.len() - above) < LEAST_POINTS {
+            return None;
+        }
+        let mut motion_mm = Vector2::zeros();
+        let off =
+            |motion_mm: &Vector2<f64>, (row, mm): &(Vector2<f64>, f64)| mm + row.dot(motion_mm);
+        let mut noise_mm = 0.0;
+        for _ in 0..STEPS {
+            let sizes = rows.iter().map(|at| off(&motion_mm, at).abs());
+            noise_mm = SIGMA_PER_MAD * median_of(sizes)?;
+            let (mut squares, mut sum) = (Matrix2::zeros(), Vector2::zeros());
+            for at in &rows {
+                let off_mm = off(&motion_mm, at);
+                let x = off_mm / (3.0 * noise_mm.max(f64::MIN_POSITIVE));
+                let weight = (-0.5 * x * x).exp();
+                squares += weight * at.0 * at.0.transpose();
+                sum += weight * off_mm * at.0;
+            }
+            motion_mm -= squares.try_inverse()? * sum;
+        }
+        let within = rows
+            .iter()
+            .map(|at| off(&motion_mm, at))
+            .filter(|mm| mm.abs() <= 3.0 * noise_mm);
+        let inliers = within.clone().count();
+        let squares: f64 = within.map(|mm| mm * mm).sum();
+        motion_mm.iter().all(|mm| mm.is_finite()).then(|| Lands {
+            motion_mm,
+            inliers,
+            rms_mm: (squares / inliers.max(1) as f64).sqrt(),
+            noise_mm,
+        })
+    }
+}
+
+impl MountPose {
+    /// From the pose by the stages and that of the view, in which its points have these nearest surface points. None where too
+    /// little of the lands was seen.
+    pub fn new(
+        seat: &Seat<'_>,
+        stages: &Rigid<Tool, Cloud>,
+        pose: &Rigid<Tool, Cloud>,
+        closest: &[Closest],
+    ) -> Option<Self> {
+        let motion_mm = |land| Some(seat.lands(land, closest)?.motion_mm.into());
+        let (roots_mm, tips_mm) = (motion_mm(Land::Root), motion_mm(Land::Tip));
+        (roots_mm.is_some() || tips_mm.is_some()).then(|| Self {
+            from_stages: Motion::between(stages.isometry(), pose.isometry()),
+            roots_mm,
+            tips_mm,
+        })
+    }
+
+    /// Pose that the baseline's view would have now if neither mounting nor stages had moved.
+    pub fn expected(&self, stages: &Rigid<Tool, Cloud>) -> Rigid<Tool, Cloud> {
+        Rigid::from_isometry(self.from_stages.isometry() * stages.isometry())
+    }
+
+    /// Pose of a view in the same mounting, corrected by what the lands moved. `closest` belongs to points on lands in the
+    /// [expected pose](Self::expected). None where neither roots nor tips lie where they did, as far as the form of a flank is known
+    /// (`form_mm`, standard uncertainty), and where too little of them was seen.
+    pub fn registration(
+        &self,
+        seat: &Seat<'_>,
+        stages: &Rigid<Tool, Cloud>,
+        closest: &[Closest],
+        form_mm: f64,
+    ) -> Option<(Registration, Prior)> {
+        let of_land = |land, then_mm: Option<[f64; 2]>| {
+            let then_mm = Vector2::from(then_mm?);
+            let lands = seat.lands(land, closest)?;
+            let moved_mm = lands.motion_mm - then_mm;
+            let is_same = moved_mm.iter().all(|mm| mm.abs() <= SAME_MOUNT * form_mm);
+            is_same.then_some((lands, moved_mm))
+        };
+        // Tips wear before roots do.
+        let found = of_land(Land::Root, self.roots_mm);
+        let (lands, moved_mm) = found.or_else(|| of_land(Land::Tip, self.tips_mm))?;
+        let expected = self.expected(stages);
+        let pose = Rigid::from_isometry(seat.motion(moved_mm) * expected.isometry());
+        let (along, up) = (seat.towards_axis(), Vector3::z());
+        let (along, up) = (along * along.transpose(), up * up.transpose());
+        let kept = KEPT * KEPT * Matrix3::identity();
+        let tilt_rad = form_mm / seat.half_height_mm;
+        let rotation = tilt_rad * tilt_rad * (Matrix3::identity() - up) + kept;
+        let shift = form_mm * form_mm * (along + up) + kept;
+        let mut covariance = Matrix6::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&shift);
+        let registration = Registration {
+            tool_from_cloud: pose,
+            status: Status::Registered,
+            converged: true,
+            iterations: STEPS,
+            inliers: lands.inliers,
+            rms_mm: lands.rms_mm,
+            noise_mm: lands.noise_mm,
+            weak_directions: Vec::new(),
+            covariance,
+            centre_mm: seat.at_mm.into(),
+            arm_mm: seat.half_height_mm,
+        };
+        let prior = Prior {
+            tool_from_cloud: pose,
+            pivot_mm: seat.at_mm.into(),
+            covariance,
+        };
+        Some((registration, prior))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gear::tests::ring84;
+    use flankscope_foundation::random::{normal, uniform};
+
+    const FORM_MM: f64 = 0.5e-3;
+    const ZONE: Zone = Zone {
+        radius_mm: [41.1, 42.7],
+        height_mm: [29.0, 37.0],
+    };
+
+    /// Lands of the teeth 39 to 41 as seen in a pose that is off by this motion. The roots of the die are 12 µm too deep, and the
+    /// tips lost `tip_mm`.
+    fn seen(seat: &Seat<'_>, off: &Isometry3<f64>, tip_mm: f64, seed: u64) -> Vec<Closest> {
+        let gear = seat.gear;
+        let point = |i: u64| {
+            let u = |k: u64| uniform(seed, 4 * i + k);
+            let (is_tip, tooth) = (u(0) < 0.6, 39 + (3.0 * u(1)) as u32);
+            let (radius, lost_mm) = match is_tip {
+                true => (gear.tip_radius_mm, tip_mm),
+                false => (gear.root_radius_mm, 12e-3),
+            };
+            let centre =
+                gear.tooth_centre_rad(tooth) + if is_tip { 0.0 } else { 0.5 * gear.pitch_rad() };
+            let angle = centre + (u(2) - 0.5) * 5e-3;
+            let inwards = -Vector3::new(angle.cos(), angle.sin(), 0.0);
+            let on = -radius * inwards + Vector3::z() * (29.0 + 8.0 * u(3));
+            let measured = off * nalgebra::Point3::from(on - lost_mm * inwards);
+            Closest {
+                point: on.into(),
+                normal: inwards.into(),
+                signed_distance_mm: (measured.coords - on).dot(&inwards)
+                    + 2e-3 * normal(seed + 1, i),
+                triangle: 0,
+                feature: crate::surface::Feature::Face,
+                smoothness: 1.0,
+            }
+        };
+        (0..4000).map(point).collect()
+    }
+
+    fn pose(angle: f64) -> Rigid<Tool, Cloud> {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, -0.2, 0.3) * angle);
+        Rigid::from_isometry(Translation3::new(3.0, -2.0, angle) * turn)
+    }
+
+    /// Two parameters from 4 000 points with 2 µm of noise each: 0.03 µm and 0.06 µm (the height's standard deviation is 0.58 of half
+    /// of it), of a difference 1.4 times as much; five standard uncertainties.
+    const OFF_MM: f64 = 5.0 * 1.4 * 0.06e-3;
+
+    #[test]
+    fn pose_in_the_same_mounting_is_that_of_the_baseline_moved_with_the_lands() {
+        let gear = ring84();
+        let seat = Seat::new(&gear, &ZONE, 40);
+        let (then, now) = (pose(0.2), pose(-0.4));
+        for (seed, drift_mm) in [(1, [0.0, 0.0]), (2, [1.2e-3, 0.0]), (3, [-0.6e-3, 1.0e-3])] {
+            let mount = Isometry3::rotation(Vector3::new(1e-3, -2e-3, 5e-4));
+            let read = Rigid::from_isometry(mount * then.isometry());
+            let recorded = seen(&seat, &Isometry3::identity(), 0.0, seed);
+            let recorded = MountPose::new(&seat, &then, &read, &recorded).expect("lands");
+            // The die moved: in the expected pose its lands lie by so much elsewhere.
+            let drift = seat.motion(Vector2::from(drift_mm));
+            let lands = seen(&seat, &drift, 0.0, 10 + seed);
+            let found = recorded.registration(&seat, &now, &lands, FORM_MM);
+            let (found, _) = found.expect("the same mounting");
+            let right = drift.inverse() * mount * now.isometry();
+            let off = found.tool_from_cloud.isometry() * right.inverse();
+            let at = nalgebra::Point3::from(seat.at_mm);
+            assert!((off * at - at).norm() < OFF_MM, "{drift_mm:?}: {off}");
+            assert!(4.0 * off.rotation.angle() < OFF_MM, "{drift_mm:?}: {off}");
+        }
+    }
+
+    #[test]
+    fn lands_that_moved_or_tilted_are_not_those_of_the_baseline() {
+        let gear = ring84();
+        let seat = Seat::new(&gear, &ZONE, 40);
+        let stages = pose(0.2);
+        let recorded = seen(&seat, &Isometry3::identity(), 0.0, 7);
+        let recorded = MountPose::new(&seat, &stages, &stages, &recorded).expect("lands");
+        let is_same = |drift_mm: [f64; 2], tip_mm: f64| {
+            let lands = seen(&seat, &seat.motion(Vector2::from(drift_mm)), tip_mm, 8);
+            recorded
+                .registration(&seat, &stages, &lands, FORM_MM)
+                .is_some()
+        };
+        let limit_mm = SAME_MOUNT * FORM_MM;
+        for mm in [-limit_mm, limit_mm] {
+            for tip_mm in [0.0, 10e-3] {
+                assert!(is_same([0.8 * mm, 0.0], tip_mm) && is_same([0.0, 0.8 * mm], tip_mm));
+            }
+            assert!(!is_same([1.2 * mm, 0.0], 0.0) && !is_same([0.0, 1.2 * mm], 0.0));
+        }
+        assert!(!is_same([f64::NAN, 0.0], 0.0));
+    }
+}
