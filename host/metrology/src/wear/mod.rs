@@ -389,11 +389,18 @@ impl FlankWear {
                 .map(|since| settings.form_mm(since).hypot(sensitivity.form_scatter_mm));
             if !main.evidence.is_empty() {
                 let turns = main.evidence.iter();
-                let turns = turns.map(|of| of.turn(before, forms[0], forms[1]));
-                // Of a further view the baseline has no evidence.
+                let turns: Vec<Turn> = turns
+                    .map(|of| of.turn(before, forms[0], forms[1]))
+                    .collect();
+                // Of a further view the baseline has no evidence: it shows the flanks that the main view shows, or stands alone.
+                let known = main.evidence.iter().zip(&turns).next();
+                let known = known.filter(|(of, _)| before.is_some() && of.same_mount.is_some());
                 let further = views.iter().skip(1).flat_map(|view| &view.evidence);
-                let further = further.map(|of| of.turn(None, forms[1], forms[1]));
-                let mean = Turn::of_all(turns.chain(further));
+                let further = further.map(|of| {
+                    let beside = known.and_then(|(main, turn)| of.beside(main, turn, forms[1]));
+                    beside.unwrap_or_else(|| of.turn(None, forms[1], forms[1]))
+                });
+                let mean = Turn::of_all(turns.iter().copied().chain(further));
                 shift_mm = self.flank.sign() * mean.mean_mm;
                 // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
                 let both_mm = sensitivity

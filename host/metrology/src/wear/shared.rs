@@ -269,6 +269,23 @@ impl PoseEvidence {
         }
     }
 
+    /// Estimate of t from the flanks that a view of the same moment shows as well, whose t is known; their form is seen at other places of
+    /// the field and known to `form_mm` (standard uncertainty). None where both views have no flank in common.
+    pub(super) fn beside(&self, other: &Self, known: &Turn, form_mm: f64) -> Option<Turn> {
+        let turned = self.flanks.iter().filter_map(|now| {
+            let is_it = |then: &&SeenFlank| (then.tooth, then.flank) == (now.tooth, now.flank);
+            let there = other.flanks.iter().find(is_it)?;
+            let wear_mm = there.median_mm + there.per_turn * known.mean_mm;
+            Some((wear_mm - now.median_mm) / now.per_turn)
+        });
+        let mut turned: Vec<f64> = turned.collect();
+        Some(Turn {
+            mean_mm: midpoint_median(&mut turned)?,
+            u_mm: known.u_mm.hypot(form_mm),
+            ..*known
+        })
+    }
+
     /// Loss that a datum hides by its own wear, mm. The pose that rests on it is compared with the stages, as wear of both sides alike and as
     /// wear of one side that the other one gained. Differences beyond [`STAGES_CONTRADICT`] standard uncertainties count in full.
     pub(super) fn datum_hides_mm(&self) -> f64 {
@@ -501,6 +518,30 @@ mod tests {
         };
         assert!(hidden_mm(Some(moved)) > 5e-3);
         assert!(hidden_mm(None) >= view([0.0; 2], [0.0; 2], 0.0, 0.0).both_sigma_mm);
+    }
+
+    #[test]
+    fn a_further_view_of_the_same_flanks_takes_over_what_the_main_one_knows() {
+        let main = view([0.055; 2], [0.02; 2], 0.0, 0.0);
+        let known = Turn {
+            u_mm: 1e-3,
+            ..main.turn(None, FORM_MM, FORM_MM)
+        };
+        for turned_mm in [-0.02, 0.0, 0.03] {
+            let further = view([0.055; 2], [0.02; 2], turned_mm, 0.0);
+            let beside = further
+                .beside(&main, &known, FORM_MM)
+                .expect("flanks of both");
+            let off_mm = beside.mean_mm - known.mean_mm - turned_mm;
+            assert!(off_mm.abs() < 1e-12, "{turned_mm}: {off_mm}");
+            assert!((beside.u_mm - known.u_mm.hypot(FORM_MM)).abs() < 1e-12);
+        }
+        let mut elsewhere = main.clone();
+        elsewhere
+            .flanks
+            .iter_mut()
+            .for_each(|flank| flank.tooth = Some(70));
+        assert!(elsewhere.beside(&main, &known, FORM_MM).is_none());
     }
 
     /// Left and right flanks of three teeth, mm: what they lost.
