@@ -269,7 +269,10 @@ fn wear_of_all_teeth_is_judged_since_a_baseline_by_stages_that_repeat() {
     ];
     for (seed, lost_um, verdicts) in at_least(2, &dies) {
         let [left, right] = lost_um;
-        let wear = [format!("1:left:{left}:side"), format!("1:right:{right}:side")];
+        let wear = [
+            format!("1:left:{left}:side"),
+            format!("1:right:{right}:side"),
+        ];
         let wear = ["--wear", wear[0].as_str(), "--wear", wear[1].as_str()];
         let run = check(&[&["--seed", *seed, "--baseline", &baseline], &wear[..]].concat());
         for (flank, verdict) in ["left", "right"].into_iter().zip(verdicts) {
