@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::{
-    Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
+    Cad, CadArgs, CloudReading, LoadedCloud, StartPose, milliseconds, tell, write_file,
 };
 use crate::output::{Common, Outcome, say, write_whole};
 
@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     #[command(flatten)]
     start: StartPose,
     /// Standard deviation of a point, mm. All limits of the fit scale with it: the first iterations use points up to 250 times this
@@ -113,6 +113,8 @@ struct Report {
     converged: bool,
     iterations: usize,
     points: usize,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     inliers: usize,
     rms_mm: Option<f64>,
     /// Unit vectors (rotation x, y, z times `arm_mm`; translation x, y, z), weakest first.
@@ -157,7 +159,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let start = Instant::now();
     let Laid {
-        cloud,
+        loaded_cloud: LoadedCloud { cloud, not_finite },
         found,
         teeth,
         elapsed_ms,
@@ -188,7 +190,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         };
         write_file(output, |out| laid.write(format, out, &[]))?;
     }
-    let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
+    let report = Report::new(&found, (cloud.points.len(), not_finite), teeth, elapsed_ms);
     args.common.write_json(&report)?;
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
@@ -200,7 +202,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// A registration with its inputs.
 struct Laid {
-    cloud: CloudFile,
+    loaded_cloud: LoadedCloud,
     found: Registration,
     teeth: Option<u32>,
     elapsed_ms: Elapsed,
@@ -209,7 +211,7 @@ struct Laid {
 impl Args {
     /// Cloud and CAD (or reference cloud) beside each other.
     fn write_pick_page(&self, page: &Path) -> anyhow::Result<Outcome> {
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let LoadedCloud { cloud, .. } = self.reading.load(&self.cloud, &self.common)?;
         let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
             (Some(cad), _) => {
                 let Cad { mesh, .. } = cad.load(&self.common)?;
@@ -217,7 +219,8 @@ impl Args {
                 (&cad.path, sampled.with_context(|| cad.trouble())?)
             }
             (None, Some(reference)) => {
-                let other = load_cloud(reference, self.cloud_unit)?;
+                let LoadedCloud { cloud: other, .. } =
+                    self.reading.load(reference, &self.common)?;
                 (reference, other.points.to_vec())
             }
             (None, None) => bail!("nothing to pick on: --cad MESH or --reference CLOUD"),
@@ -246,7 +249,8 @@ impl Args {
 
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, orientation } = cad.load(&self.common)?;
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let loaded_cloud = self.reading.load(&self.cloud, &self.common)?;
+        let cloud = &loaded_cloud.cloud;
         let article = self.article.load(SEED)?;
         let initial = match article.first_pose {
             Some(_) if self.start.is_given() => bail!(
@@ -278,7 +282,7 @@ impl Args {
             }
         };
         Ok(Laid {
-            cloud,
+            loaded_cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
@@ -290,8 +294,9 @@ impl Args {
             self.method == Method::Surface,
             "--method article draws its points on a mesh: name one by --cad instead of --reference"
         );
-        let other = load_cloud(reference, self.cloud_unit)?;
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let LoadedCloud { cloud: other, .. } = self.reading.load(reference, &self.common)?;
+        let loaded_cloud = self.reading.load(&self.cloud, &self.common)?;
+        let cloud = &loaded_cloud.cloud;
         let initial = self.start.pose()?;
         let loaded = Instant::now();
         let surface = CloudSurface::new(&other.points, self.noise_mm)
@@ -301,7 +306,7 @@ impl Args {
         let prepared = Instant::now();
         let found = register(&surface, &cloud.points, None, &options);
         Ok(Laid {
-            cloud,
+            loaded_cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
@@ -319,7 +324,12 @@ impl Args {
 }
 
 impl Report {
-    fn new(found: &Registration, points: usize, teeth: Option<u32>, elapsed_ms: Elapsed) -> Self {
+    fn new(
+        found: &Registration,
+        (points, not_finite): (usize, usize),
+        teeth: Option<u32>,
+        elapsed_ms: Elapsed,
+    ) -> Self {
         let reason = match &found.status {
             Status::Registered => None,
             Status::Indeterminate(reason) => Some(reason),
@@ -338,6 +348,7 @@ impl Report {
             converged: found.converged,
             iterations: found.iterations,
             points,
+            points_not_finite: not_finite,
             inliers: found.inliers,
             rms_mm: finite(found.rms_mm),
             weak_directions: weak.iter().map(|w| w.vector).collect(),
