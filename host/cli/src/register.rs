@@ -1,5 +1,6 @@
 //! `flankscope register`: registers a cloud to a CAD mesh, or to another cloud.
 
+use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -37,6 +38,8 @@ const SEED: u64 = 0;
     after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\n\
     With --method article, --article-settings gives the window of reference points, their number, the share of pairs and the end of the fit by its\n\
     table [registration], and the start pose by its pairs; what it says of views (mask_dn, share, denoise, voxel_mm) does not concern one cloud.\n\n\
+    Without a start pose the fit begins at the identity. If the CAD has teeth and more than a tenth of the points stays off the surface,\n\
+    it begins anew from turns within a pitch, and the fit with most points on the surface counts.\n\n\
     Exit codes: 0 registered, 2 indeterminate, 3 could not run.",
     group(clap::ArgGroup::new("on").args(["path", "reference"]).required(true))
 )]
@@ -192,6 +195,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let report = Report::new(&found, (cloud.points.len(), not_finite), teeth, elapsed_ms);
     args.common.write_json(&report)?;
+    let off = report.points - report.inliers;
+    if found.is_registered()
+        && !args.common.quiet
+        && off as f64 > (1.0 - ENOUGH_INLIERS) * report.points as f64
+    {
+        say(&format!(
+            "note: {off} of {} points do not lie on the surface after the fit; `flankscope deviation` shows where",
+            report.points
+        ));
+    }
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
         Outcome::Done
@@ -276,7 +289,10 @@ impl Args {
         let options = self.options(initial, teeth);
         let prepared = Instant::now();
         let found = match self.method {
-            Method::Surface => register(&surface, &cloud.points, None, &options),
+            Method::Surface if self.start.is_given() => {
+                register(&surface, &cloud.points, None, &options)
+            }
+            Method::Surface => register_any_turn(&surface, &cloud.points, &options),
             Method::Article => {
                 register_by_article(&mesh, &cloud.points, &initial, &article.registration).0
             }
@@ -321,6 +337,49 @@ impl Args {
             ..Options::for_noise(self.noise_mm)
         }
     }
+}
+
+/// Share of inliers from which on a registration is not tried from other turns.
+const ENOUGH_INLIERS: f64 = 0.9;
+/// Turns within a pitch from which a registration is tried.
+const TURNS: u32 = 8;
+
+/// Registers a cloud whose start pose is not known. Plain faces of a gear (bore, ends) fit at any turn about the axis, so that a fit
+/// may end between two teeth with more than half of the points on the surface. Where points are left over, turns within one pitch
+/// are tried, and the registration with most inliers counts.
+fn register_any_turn(surface: &Surface, points: &[[f64; 3]], options: &Options) -> Registration {
+    let mut best = register(surface, points, None, options);
+    let Some(teeth) = options.teeth else {
+        return best;
+    };
+    let is_enough = |found: &Registration| {
+        found.is_registered() && found.inliers as f64 >= ENOUGH_INLIERS * points.len() as f64
+    };
+    for turn in 1..TURNS {
+        if is_enough(&best) {
+            break;
+        }
+        let angle = TAU * f64::from(turn) / f64::from(TURNS * teeth);
+        let (sin, cos) = angle.sin_cos();
+        let turned = Rigid::<Tool, Tool>::from_rows(&[
+            [cos, -sin, 0.0, 0.0],
+            [sin, cos, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]);
+        let Ok(turned) = turned else { continue };
+        let options = Options {
+            initial: turned * options.initial,
+            ..options.clone()
+        };
+        let found = register(surface, points, None, &options);
+        let is_better = found.is_registered() && !best.is_registered()
+            || found.is_registered() == best.is_registered() && found.inliers > best.inliers;
+        if is_better {
+            best = found;
+        }
+    }
+    best
 }
 
 impl Report {
