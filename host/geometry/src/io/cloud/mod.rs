@@ -193,7 +193,7 @@ pub enum CloudError {
     },
     /// Where nothing that is measured can lie.
     #[error(
-        "point {index}: coordinate {axis} is {value} mm; every coordinate must lie within {most_mm} mm of the origin"
+        "point {index}: coordinate {axis} is {value} mm; every coordinate must lie within {most_mm} mm of the origin; of coordinates of a map (UTM), subtract the same offset from all points, here {} mm from {axis}", offset_mm(*value)
     )]
     Far {
         /// Point, from 0.
@@ -235,6 +235,11 @@ pub enum CloudError {
         /// The value.
         value: f64,
     },
+}
+
+/// Round offset that brings a coordinate near to the origin, mm: whole kilometres.
+fn offset_mm(value: f64) -> f64 {
+    1e6 * (1e-6 * value).round()
 }
 
 /// A cloud as its file holds it.
@@ -550,6 +555,17 @@ mod tests {
             let (cloud, dropped) = parse_finite(&bytes, Unit::Mm).unwrap();
             assert_eq!((cloud, dropped), (parse(&bytes, Unit::Mm).unwrap(), 0));
         }
+    }
+
+    #[test]
+    fn coordinates_of_a_map_are_refused_with_the_offset() {
+        // Metres of UTM zone 32.
+        let error = parse(b"691603.5 5334784.25 519.0\n", Unit::M).unwrap_err();
+        assert!(matches!(error, CloudError::Far { axis: 'y', .. }));
+        assert!(
+            error.to_string().contains("5335000000 mm from y"),
+            "{error}"
+        );
     }
 
     #[test]
