@@ -459,7 +459,7 @@ fn binary_stl_with_spare_bytes_is_read_with_a_note() {
         said.contains("spare.stl") && said.contains("2 bytes"),
         "{said}"
     );
-    // Where a cloud is asked for, the file is still called a mesh.
+    // Named as a cloud, the file is refused as a mesh.
     let args = [
         "deviation",
         "--cad",

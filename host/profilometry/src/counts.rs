@@ -33,7 +33,7 @@ pub struct CountRange {
     pub full_scale_dn: u16,
     /// Bits by which the counts of the files were shifted down.
     pub shift_bits: u32,
-    /// Evidence.
+    /// Evidence for the end of the counts.
     pub source: CountSource,
     /// Largest count of the view.
     pub largest_dn: u16,
@@ -188,7 +188,7 @@ fn left_shift(pixels: &[u64]) -> u32 {
     let is_shifted = |bits: u32| {
         let lower = u16::MAX >> bits;
         let has_zeros = |count: u16| count & lower == 0;
-        // Of 8 bits and more, one repetition fills 16.
+        // One repetition of 8 bits and more fills 16.
         let repeats = |count: u16| count & lower == (count >> (16 - bits)) >> (2 * bits - 16);
         counts().all(has_zeros) || counts().all(repeats)
     };
@@ -375,14 +375,17 @@ mod tests {
         };
         let dim = frames(900.0, 4095.0, 3.0);
         let expected = (4095, 0, CountSource::File);
-        let told = |range: CountRange| (range.full_scale_dn, range.shift_bits, range.source);
-        assert_eq!(told(found(&state(dim.clone()))), expected);
+        let summary = |range: CountRange| (range.full_scale_dn, range.shift_bits, range.source);
+        assert_eq!(summary(found(&state(dim.clone()))), expected);
         let shifted = mapped(&dim, |count| count << 4);
-        assert_eq!(told(found(&state(shifted))), (4095, 4, CountSource::File));
+        assert_eq!(
+            summary(found(&state(shifted))),
+            (4095, 4, CountSource::File)
+        );
         // A camera that is clipped below.
         let clipped = frames(6000.0, 3000.0, 10.0);
         assert_eq!(
-            told(found(&state(clipped))),
+            summary(found(&state(clipped))),
             (3000, 0, CountSource::Clipping)
         );
     }

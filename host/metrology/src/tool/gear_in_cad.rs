@@ -81,7 +81,7 @@ pub enum NoGear {
     NoAxis,
     /// Too little of the surface faces around the axis.
     #[error(
-        "only {facets} facets face around the axis found, at least {least} are needed: this is no toothing, or a very coarse one"
+        "only {facets} facets face around the axis found, at least {least} are needed: this is no toothing, a very coarse one, or a helical one, which is not supported because flanks must be parallel to the axis"
     )]
     NoFlanks {
         /// Such facets.

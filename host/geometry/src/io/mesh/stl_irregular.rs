@@ -15,7 +15,7 @@ pub enum StlIrregularity {
     },
     /// Bytes after every facet, as many as its attribute word states. They are ignored.
     Payload {
-        /// Triangles.
+        /// Triangles of the file, all of which are read.
         triangles: usize,
         /// Sum of the payload's bytes.
         bytes: usize,
@@ -106,13 +106,13 @@ fn solid(bytes: &[u8]) -> Option<(&[[u8; RECORD_BYTES]], &[u8])> {
 }
 
 fn solids(bytes: &[u8]) -> Option<IrregularStl<'_>> {
-    let mut rest = bytes;
+    let mut remaining = bytes;
     let mut records: Vec<&[u8]> = Vec::new();
     let mut count = 0;
-    while !rest.is_empty() {
-        let (one, after) = solid(rest)?;
-        records.extend(one.iter().map(<[u8; RECORD_BYTES]>::as_slice));
-        rest = after;
+    while !remaining.is_empty() {
+        let (facets, after) = solid(remaining)?;
+        records.extend(facets.iter().map(<[u8; RECORD_BYTES]>::as_slice));
+        remaining = after;
         count += 1;
     }
     let triangles = records.len();
@@ -159,7 +159,7 @@ fn with_spare_bytes(bytes: &[u8]) -> Option<IrregularStl<'_>> {
 
 /// Largest coordinate of a mesh in any unit.
 const MOST_COORDINATE: f32 = 1e9;
-/// Smallest coordinate that is not zero. Bytes that are no numbers are often smaller.
+/// Smallest coordinate that is not zero. Bytes of other data are often smaller.
 const LEAST_COORDINATE: f32 = 1e-30;
 
 /// Whether the numbers of a record can be those of a facet. Some writers leave the normal out.
