@@ -178,6 +178,7 @@ mod tests {
                     width,
                     height,
                     bits: 16,
+                    stated_largest_dn: None,
                 }
             })
             .collect()
@@ -217,6 +218,7 @@ mod tests {
                 width: 120,
                 height: 300,
                 bits: 16,
+                stated_largest_dn: None,
             })
             .collect();
         let other = cut(&turned, true);

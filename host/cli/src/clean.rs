@@ -7,7 +7,7 @@ use flankscope_metrology::io::cloud::Cloud;
 use flankscope_metrology::io::points::Format;
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, load_cloud, numbers, tell, write_file};
+use crate::geometry::{CloudReading, LoadedCloud, numbers, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Crop, denoise and thin a cloud; the points that stay keep their order and all of their properties.
@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     /// Keep points with x from X0 to X1, y from Y0 to Y1 and z from Z0 to Z1, mm
     #[arg(long, value_name = "X0,X1,Y0,Y1,Z0,Z1", allow_hyphen_values = true, value_parser = numbers::<6>)]
     crop: Option<[f64; 6]>,
@@ -44,6 +44,8 @@ pub struct Args {
 #[derive(Serialize)]
 struct Report {
     points: usize,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     count: usize,
     cropped: usize,
     outliers: usize,
@@ -55,7 +57,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.check()?;
     args.common.try_json()?;
     let format = Format::of_cloud(&args.output)?;
-    let mut cloud = load_cloud(&args.cloud, args.cloud_unit)?;
+    let LoadedCloud {
+        mut cloud,
+        not_finite,
+    } = args.reading.load(&args.cloud, &args.common)?;
     let points = cloud.points.len();
     let stage = |kept: Option<Vec<bool>>, cloud: Cloud| match kept {
         Some(kept) => {
@@ -77,6 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     write_file(&args.output, |out| cloud.write(format, out, &[]))?;
     args.common.write_json(&Report {
         points,
+        points_not_finite: not_finite,
         count,
         cropped,
         outliers,

@@ -9,6 +9,7 @@ use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::order::median_of;
 use flankscope_metrology::io::ply::{Column, Scalar};
 use flankscope_metrology::io::points::{Format, PointFile};
+use flankscope_profilometry::counts::{CountRange, CountSource};
 use flankscope_profilometry::decode::{
     Cloud, ConsistencyOptions, DecodeOptions, Decoder, LightMedians, LightParts, PatchOptions,
     PhaseMaps, Rejected,
@@ -98,6 +99,8 @@ struct Document<'a> {
     pattern_set: &'a str,
     /// Whether the uncertainties are based on assumed sensor properties.
     sensor_assumed: bool,
+    /// Range of the counts, and how it is known.
+    counts: CountRange,
     /// Smallest amplitude of each frequency, low to high, counts per pixel and exposure.
     min_modulation_dn: &'a [f64],
     /// Median ratio of the frames' noise to that predicted by `[sensor]`; limits and uncertainties are raised by it.
@@ -130,14 +133,15 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let plan = Plan::load(&args.plan).context("plan")?;
     let size_px = [head.camera.width_px, head.camera.height_px];
-    let frames = plan.images(&args.images, size_px)?;
+    let mut frames = plan.images(&args.images, size_px)?;
+    let sensor_bits = plan.sensor.or(head.sensor).map(|sensor| sensor.bits);
+    let counts = CountRange::take(&mut frames, sensor_bits);
     let views: Vec<_> = frames.iter().map(|(k, image)| (*k, image.view())).collect();
     frame_order::check(&plan.patterns, &views)
         .with_context(|| format!("images of {}", args.images.display()))?;
     let loaded = Instant::now();
 
-    let bits = frames.first().map_or(8, |(_, image)| image.bits);
-    let sensor_assumed = head.take_sensor(plan.sensor, bits);
+    let sensor_assumed = head.take_sensor(plan.sensor, &counts);
     let defaults = DecodeOptions::for_images(&head, plan.dark_frame, sensor_assumed);
     let decoder = Decoder::new(
         &head,
@@ -170,6 +174,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         frames: frames.len(),
         pattern_set: &plan.patterns.name,
         sensor_assumed,
+        counts,
         min_modulation_dn: decoder.floors_dn(),
         frame_noise_ratio: decoded.frame_noise_ratio,
         contrast: &decoded.contrast,
@@ -183,6 +188,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         },
     };
     if !args.common.quiet {
+        if counts.shift_bits > 0
+            || matches!(
+                counts.source,
+                CountSource::Clipping | CountSource::LargestCount
+            )
+        {
+            say(&format!(
+                "note: {counts}; `bits` in [sensor] of the plan states it"
+            ));
+        }
         // What was assumed promises nothing about the noise.
         if !sensor_assumed && decoded.frame_noise_ratio > NOTABLE_NOISE_RATIO {
             say(&format!(

@@ -10,7 +10,7 @@ use flankscope_metrology::surface::orientation::Orientation;
 use flankscope_metrology::surface::{Surface, sampling};
 use serde::Serialize;
 
-use crate::geometry::{Cad, CadArgs, CloudUnit, load_cloud, milliseconds, tell, write_file};
+use crate::geometry::{Cad, CadArgs, CloudReading, LoadedCloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Compute the signed distance of every point of a cloud to a CAD mesh.
@@ -25,7 +25,7 @@ pub struct Args {
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     /// Distance to the surface itself (exact, signed), or to the nearest of 100 000 random points on it (the article's, unsigned).
     #[arg(long, value_enum, default_value_t = Metric::Surface)]
     metric: Metric,
@@ -50,6 +50,8 @@ struct Report {
     /// Whether the sign is defined, positive for proud material: not for sampled points, nor for a mesh without an outside.
     signed: bool,
     orientation: Orientation,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     #[serde(flatten)]
     statistics: Statistics,
     elapsed_ms: Elapsed,
@@ -76,7 +78,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = Format::of_cloud(&args.output)?;
     let start = Instant::now();
     let Cad { mesh, orientation } = args.cad.load(&args.common)?;
-    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
+    let LoadedCloud { cloud, not_finite } = args.reading.load(&args.cloud, &args.common)?;
     let loaded = Instant::now();
     let cad = || args.cad.trouble();
     let (mut deviations, prepared) = match args.metric {
@@ -108,6 +110,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let report = Report {
         signed,
         orientation,
+        points_not_finite: not_finite,
         statistics,
         elapsed_ms: Elapsed {
             load: milliseconds(start, loaded),

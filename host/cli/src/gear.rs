@@ -11,7 +11,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{PROBABILITY, Word, holds_class};
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, load_cloud, numbers};
+use crate::geometry::{CloudReading, LoadedCloud, numbers};
 use crate::output::{Common, Outcome};
 
 /// Evaluate profile, helix, pitch and runout deviations of every tooth in a cloud, as ISO 1328-1 defines them.
@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     /// Axis about which deviations are stated.
     #[arg(long, value_enum, default_value_t = Axis::Tool)]
     axis: Axis,
@@ -77,6 +77,8 @@ struct Report<'a> {
     guard_um: f64,
     /// Probability of conformity at that distance.
     probability: f64,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     #[serde(flatten)]
     evaluation: &'a GearEvaluation,
 }
@@ -90,7 +92,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             tool.path.display()
         )
     })?;
-    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
+    let LoadedCloud { cloud, not_finite } = args.reading.load(&args.cloud, &args.common)?;
     let mut settings = EvaluationSettings {
         band_mm: args.band_mm,
         best_fit_axis: args.axis == Axis::Fit,
@@ -119,6 +121,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         u95_um: args.u95_um,
         guard_um,
         probability,
+        points_not_finite: not_finite,
         evaluation: &evaluation,
     })?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {

@@ -25,17 +25,42 @@ pub struct CadArgs {
     pub cad_unit: FileUnit,
 }
 
-/// The unit of clouds.
+/// Options of reading clouds.
 #[derive(clap::Args, Clone, Copy)]
-pub struct CloudUnit {
+pub struct CloudReading {
     /// Unit of the cloud; the formats do not say. What is written is in mm.
     #[arg(long, value_name = "UNIT", default_value = "mm")]
-    pub cloud_unit: FileUnit,
+    cloud_unit: FileUnit,
+    /// Refuse a cloud with points that are not finite (NaN, infinity) [default: leave them out and count them].
+    #[arg(long)]
+    strict: bool,
 }
 
-impl From<CloudUnit> for Unit {
-    fn from(unit: CloudUnit) -> Self {
-        unit.cloud_unit.into()
+/// A cloud of another program, all points finite.
+pub struct LoadedCloud {
+    pub cloud: Cloud,
+    /// Number of the file's points that were left out because a coordinate is not finite.
+    pub not_finite: usize,
+}
+
+impl CloudReading {
+    /// Loads a cloud. Prints a note if points were left out.
+    pub fn load(self, path: &Path, common: &Common) -> anyhow::Result<LoadedCloud> {
+        let unit = self.cloud_unit.into();
+        let loaded = match self.strict {
+            true => cloud::load(path, unit).map(|cloud| (cloud, 0)),
+            false => cloud::load_finite(path, unit),
+        };
+        let (cloud, not_finite) =
+            loaded.with_context(|| format!("cannot use cloud {}", path.display()))?;
+        if not_finite > 0 && !common.quiet {
+            say(&format!(
+                "note: cloud {}: {not_finite} of {} points are not finite (NaN or infinity) and are left out; --strict refuses such a file",
+                path.display(),
+                not_finite + cloud.points.len()
+            ));
+        }
+        Ok(LoadedCloud { cloud, not_finite })
     }
 }
 
@@ -67,8 +92,16 @@ impl CadArgs {
     /// Loads the mesh and orients its triangles counter-clockwise seen from outside. Prints a note if the file had another
     /// orientation, or if outside is undefined.
     pub fn load(&self, common: &Common) -> anyhow::Result<Cad> {
-        let mut mesh =
-            mesh::load(&self.path, self.cad_unit.into()).with_context(|| self.trouble())?;
+        let (mut mesh, irregularity) = mesh::load_tolerant(&self.path, self.cad_unit.into())
+            .with_context(|| self.trouble())?;
+        if let Some(irregularity) = irregularity
+            && !common.quiet
+        {
+            say(&format!(
+                "note: CAD mesh {}: {irregularity}",
+                self.path.display()
+            ));
+        }
         let orientation = orient(&mut mesh);
         if !orientation.is_plain() && !common.quiet {
             say(&format!(
@@ -89,11 +122,6 @@ impl CadArgs {
 pub struct Cad {
     pub mesh: TriMesh,
     pub orientation: Orientation,
-}
-
-/// Loads a cloud.
-pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
-    cloud::load(path, unit.into()).with_context(|| format!("cannot use cloud {}", path.display()))
 }
 
 /// Standard uncertainty of every point of the cloud in this file, mm, where it states them.

@@ -1,5 +1,6 @@
 //! `flankscope init`: a tool folder from a CAD mesh.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail, ensure};
@@ -323,11 +324,12 @@ impl Args {
         };
         let teeth: Vec<String> = teeth.iter().map(u32::to_string).collect();
         let [low, high] = gear.height_mm;
+        let zone = zone_toml(&gear);
         Ok(format!(
             "{}\n\
              # Found in the CAD. Teeth and spaces are equally wide on the pitch circle; teeth follow the first one anticlockwise, seen\n\
              # from +z ({RING}).\n[gear]\n{}\n\
-             [inspect]\nteeth = [{}]\nheight_mm = {:?}   # where the head looks\nwarn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n\
+             [inspect]\nteeth = [{}]\nheight_mm = {:?}   # where the head looks\n{zone}warn_um = {warn_um:?}\nlimit_um = {limit_um:?}\n\
              # as_built_um = 5.0   # standard uncertainty of the flanks' form as built; without it the CAD is taken as true\n",
             self.head_toml(&cad, "mm", chord_error_um, "the involute",),
             toml::to_string(&gear)?,
@@ -360,6 +362,35 @@ impl Args {
             self.out.display(),
         )
     }
+}
+
+/// Half the height of the judged zone, mm, and the area of the disc of wear, mm², where a tool file does not state them.
+const USUAL_HALF_MM: f64 = 4.0;
+const USUAL_AREA_MM2: f64 = 0.25;
+/// Share of the toothing's height that a zone takes at most, and of the largest disc in the zone that the disc of wear takes.
+const ZONE_SHARE: f64 = 0.9;
+const DISC_SHARE: f64 = 0.5;
+
+/// Keys of the judged zone and of the disc of wear, where the gear is too small for the usual ones.
+fn zone_toml(gear: &GearData) -> String {
+    let [low_mm, high_mm] = gear.height_mm;
+    let half_mm = (0.5 * ZONE_SHARE * (high_mm - low_mm)).min(USUAL_HALF_MM);
+    let [from_mm, to_mm] = gear.active_flank_mm().map(|radius| gear.profile_mm(radius));
+    let room_mm = (to_mm - from_mm).abs().min(2.0 * half_mm);
+    let area_mm2 = (DISC_SHARE * 0.25 * PI * room_mm * room_mm).min(USUAL_AREA_MM2);
+    let mut keys = String::new();
+    if half_mm < USUAL_HALF_MM {
+        let half_mm = rounded(half_mm);
+        keys += &format!(
+            "zone_height_mm = [{:?}, {half_mm:?}]   # the toothing is low\n",
+            -half_mm
+        );
+    }
+    if area_mm2 < USUAL_AREA_MM2 {
+        let area_mm2 = (1e3 * area_mm2).floor() / 1e3;
+        keys += &format!("wear_area_mm2 = {area_mm2:?}   # the flank is small\n");
+    }
+    keys
 }
 
 fn rounded(value: f64) -> f64 {

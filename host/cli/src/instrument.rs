@@ -8,6 +8,7 @@ use anyhow::Context;
 use flankscope_frames::{RunFolder, SharedRoot, default_base};
 use flankscope_instrument::acquisition::Recording;
 use flankscope_instrument::controller::ClientSettings;
+use flankscope_instrument::doctor::check_shared_memory;
 use flankscope_instrument::patterns::Adaptive;
 use flankscope_jobs::inspection::ViewOutcome;
 use flankscope_jobs::job::{Job, RecordedFrames};
@@ -294,6 +295,7 @@ impl<J> Instrument<J> {
     ) -> anyhow::Result<Self> {
         let link = site.link();
         let deferred = DeferredExit::until_dropped();
+        check_shared_memory()?;
         // The shared-memory services must exist when the camera process connects.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let job = job(Arc::clone(&root))?;

@@ -9,7 +9,7 @@ use flankscope_metrology::io::ply::{Extra, Scalar};
 use flankscope_metrology::io::points::Format;
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, load_cloud, milliseconds, sigma_of, tell, write_file};
+use crate::geometry::{CloudReading, LoadedCloud, milliseconds, sigma_of, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Merge clouds: one point in each cube of a grid, the centroid of its points or the most certain of them.
@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(required = true, value_name = "CLOUD")]
     clouds: Vec<PathBuf>,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     /// Edge of the cubes, counted from the smallest coordinates of all clouds.
     #[arg(long, value_name = "S")]
     voxel_mm: f64,
@@ -50,6 +50,8 @@ enum Keep {
 struct Report {
     clouds: usize,
     points: usize,
+    /// Points of the files that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     count: usize,
     keep: Keep,
     voxel_mm: f64,
@@ -71,8 +73,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut points: Vec<[f64; 3]> = Vec::new();
     let mut coordinate = Scalar::F32;
     let mut sigma = Sigma::default();
+    let mut points_not_finite = 0;
     for path in &args.clouds {
-        let cloud = load_cloud(path, args.cloud_unit)?;
+        let LoadedCloud { cloud, not_finite } = args.reading.load(path, &args.common)?;
+        points_not_finite += not_finite;
         if args.keep == Keep::Best {
             sigma.append(&cloud, path)?;
         }
@@ -106,6 +110,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.write_json(&Report {
         clouds: args.clouds.len(),
         points: before,
+        points_not_finite,
         count: after,
         keep: args.keep,
         voxel_mm: args.voxel_mm,

@@ -1,5 +1,6 @@
 //! `flankscope register`: registers a cloud to a CAD mesh, or to another cloud.
 
+use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -21,7 +22,7 @@ use serde::Serialize;
 
 use crate::article_settings::ArticleSettingsFile;
 use crate::geometry::{
-    Cad, CadArgs, CloudUnit, StartPose, load_cloud, milliseconds, tell, write_file,
+    Cad, CadArgs, CloudReading, LoadedCloud, StartPose, milliseconds, tell, write_file,
 };
 use crate::output::{Common, Outcome, say, write_whole};
 
@@ -37,6 +38,8 @@ const SEED: u64 = 0;
     after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\n\
     With --method article, --article-settings gives the window of reference points, their number, the share of pairs and the end of the fit by its\n\
     table [registration], and the start pose by its pairs; what it says of views (mask_dn, share, denoise, voxel_mm) does not concern one cloud.\n\n\
+    Without a start pose the fit begins at the identity. If the CAD has teeth and more than a tenth of the points stays off the surface,\n\
+    it begins anew from turns within a pitch, and the fit with most points on the surface counts.\n\n\
     Exit codes: 0 registered, 2 indeterminate, 3 could not run.",
     group(clap::ArgGroup::new("on").args(["path", "reference"]).required(true))
 )]
@@ -51,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     #[command(flatten)]
     start: StartPose,
     /// Standard deviation of a point, mm. All limits of the fit scale with it: the first iterations use points up to 250 times this
@@ -113,6 +116,8 @@ struct Report {
     converged: bool,
     iterations: usize,
     points: usize,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     inliers: usize,
     rms_mm: Option<f64>,
     /// Unit vectors (rotation x, y, z times `arm_mm`; translation x, y, z), weakest first.
@@ -157,7 +162,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let start = Instant::now();
     let Laid {
-        cloud,
+        loaded_cloud: LoadedCloud { cloud, not_finite },
         found,
         teeth,
         elapsed_ms,
@@ -188,8 +193,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         };
         write_file(output, |out| laid.write(format, out, &[]))?;
     }
-    let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
+    let report = Report::new(&found, (cloud.points.len(), not_finite), teeth, elapsed_ms);
     args.common.write_json(&report)?;
+    let off = report.points - report.inliers;
+    if found.is_registered()
+        && !args.common.quiet
+        && off as f64 > (1.0 - ENOUGH_INLIERS) * report.points as f64
+    {
+        say(&format!(
+            "note: {off} of {} points do not lie on the surface after the fit; `flankscope deviation` shows where",
+            report.points
+        ));
+    }
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
         Outcome::Done
@@ -200,7 +215,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// A registration with its inputs.
 struct Laid {
-    cloud: CloudFile,
+    loaded_cloud: LoadedCloud,
     found: Registration,
     teeth: Option<u32>,
     elapsed_ms: Elapsed,
@@ -209,7 +224,7 @@ struct Laid {
 impl Args {
     /// Cloud and CAD (or reference cloud) beside each other.
     fn write_pick_page(&self, page: &Path) -> anyhow::Result<Outcome> {
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let LoadedCloud { cloud, .. } = self.reading.load(&self.cloud, &self.common)?;
         let (cad, cad_mm): (&Path, Vec<[f64; 3]>) = match (&self.cad, &self.reference) {
             (Some(cad), _) => {
                 let Cad { mesh, .. } = cad.load(&self.common)?;
@@ -217,7 +232,8 @@ impl Args {
                 (&cad.path, sampled.with_context(|| cad.trouble())?)
             }
             (None, Some(reference)) => {
-                let other = load_cloud(reference, self.cloud_unit)?;
+                let LoadedCloud { cloud: other, .. } =
+                    self.reading.load(reference, &self.common)?;
                 (reference, other.points.to_vec())
             }
             (None, None) => bail!("nothing to pick on: --cad MESH or --reference CLOUD"),
@@ -246,7 +262,8 @@ impl Args {
 
     fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, orientation } = cad.load(&self.common)?;
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let loaded_cloud = self.reading.load(&self.cloud, &self.common)?;
+        let cloud = &loaded_cloud.cloud;
         let article = self.article.load(SEED)?;
         let initial = match article.first_pose {
             Some(_) if self.start.is_given() => bail!(
@@ -272,13 +289,16 @@ impl Args {
         let options = self.options(initial, teeth);
         let prepared = Instant::now();
         let found = match self.method {
-            Method::Surface => register(&surface, &cloud.points, None, &options),
+            Method::Surface if self.start.is_given() => {
+                register(&surface, &cloud.points, None, &options)
+            }
+            Method::Surface => register_any_turn(&surface, &cloud.points, &options),
             Method::Article => {
                 register_by_article(&mesh, &cloud.points, &initial, &article.registration).0
             }
         };
         Ok(Laid {
-            cloud,
+            loaded_cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
@@ -290,8 +310,9 @@ impl Args {
             self.method == Method::Surface,
             "--method article draws its points on a mesh: name one by --cad instead of --reference"
         );
-        let other = load_cloud(reference, self.cloud_unit)?;
-        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let LoadedCloud { cloud: other, .. } = self.reading.load(reference, &self.common)?;
+        let loaded_cloud = self.reading.load(&self.cloud, &self.common)?;
+        let cloud = &loaded_cloud.cloud;
         let initial = self.start.pose()?;
         let loaded = Instant::now();
         let surface = CloudSurface::new(&other.points, self.noise_mm)
@@ -301,7 +322,7 @@ impl Args {
         let prepared = Instant::now();
         let found = register(&surface, &cloud.points, None, &options);
         Ok(Laid {
-            cloud,
+            loaded_cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
@@ -318,8 +339,56 @@ impl Args {
     }
 }
 
+/// Share of inliers from which on a registration is not tried from other turns.
+const ENOUGH_INLIERS: f64 = 0.9;
+/// Turns within a pitch from which a registration is tried.
+const TURNS: u32 = 8;
+
+/// Registers a cloud whose start pose is not known. Plain faces of a gear (bore, ends) fit at any turn about the axis, so that a fit
+/// may end between two teeth with more than half of the points on the surface. Where points are left over, turns within one pitch
+/// are tried, and the registration with most inliers counts.
+fn register_any_turn(surface: &Surface, points: &[[f64; 3]], options: &Options) -> Registration {
+    let mut best = register(surface, points, None, options);
+    let Some(teeth) = options.teeth else {
+        return best;
+    };
+    let is_enough = |found: &Registration| {
+        found.is_registered() && found.inliers as f64 >= ENOUGH_INLIERS * points.len() as f64
+    };
+    for turn in 1..TURNS {
+        if is_enough(&best) {
+            break;
+        }
+        let angle = TAU * f64::from(turn) / f64::from(TURNS * teeth);
+        let (sin, cos) = angle.sin_cos();
+        let turned = Rigid::<Tool, Tool>::from_rows(&[
+            [cos, -sin, 0.0, 0.0],
+            [sin, cos, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]);
+        let Ok(turned) = turned else { continue };
+        let options = Options {
+            initial: turned * options.initial,
+            ..options.clone()
+        };
+        let found = register(surface, points, None, &options);
+        let is_better = found.is_registered() && !best.is_registered()
+            || found.is_registered() == best.is_registered() && found.inliers > best.inliers;
+        if is_better {
+            best = found;
+        }
+    }
+    best
+}
+
 impl Report {
-    fn new(found: &Registration, points: usize, teeth: Option<u32>, elapsed_ms: Elapsed) -> Self {
+    fn new(
+        found: &Registration,
+        (points, not_finite): (usize, usize),
+        teeth: Option<u32>,
+        elapsed_ms: Elapsed,
+    ) -> Self {
         let reason = match &found.status {
             Status::Registered => None,
             Status::Indeterminate(reason) => Some(reason),
@@ -338,6 +407,7 @@ impl Report {
             converged: found.converged,
             iterations: found.iterations,
             points,
+            points_not_finite: not_finite,
             inliers: found.inliers,
             rms_mm: finite(found.rms_mm),
             weak_directions: weak.iter().map(|w| w.vector).collect(),

@@ -10,7 +10,7 @@ use flankscope_metrology::verdict::Word;
 use flankscope_record::document::FlankInView;
 use serde::Serialize;
 
-use crate::geometry::{CloudUnit, StartPose, load_cloud, sigma_of};
+use crate::geometry::{CloudReading, LoadedCloud, StartPose, sigma_of};
 use crate::inspect::{in_words, print_flanks};
 use crate::output::{Common, Outcome};
 use crate::terminal::Terminal;
@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]
-    cloud_unit: CloudUnit,
+    reading: CloudReading,
     #[command(flatten)]
     start: StartPose,
     /// Expanded uncertainty (95 %) of a deviation by what does not average out, as the scanner's certificate states it
@@ -52,6 +52,8 @@ pub struct Args {
 struct Report<'a> {
     tool: &'a str,
     points: usize,
+    /// Points of the file that were left out because a coordinate is not finite.
+    points_not_finite: usize,
     u95_um: f64,
     #[serde(flatten)]
     judged: &'a CloudVerdict,
@@ -66,7 +68,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     );
     args.common.try_json()?;
     let tool = Arc::new(Tool::load(&args.tool)?);
-    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
+    let LoadedCloud { cloud, not_finite } = args.reading.load(&args.cloud, &args.common)?;
     let sigma_mm = sigma_of(&cloud, &args.cloud)?;
     let foreign = ForeignCloud {
         points: &cloud.points,
@@ -79,6 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.write_json(&Report {
         tool: &tool.name,
         points: cloud.points.len(),
+        points_not_finite: not_finite,
         u95_um: args.u95_um,
         judged: &judged,
     })?;

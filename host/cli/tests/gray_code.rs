@@ -140,9 +140,17 @@ impl Rig {
     }
 
     fn capture(&self) {
+        self.capture_as(|_, count| count);
+    }
+
+    /// Captures frames whose counts are changed, by pixel.
+    fn capture_as(&self, change: impl Fn(usize, u16) -> u16) {
         let mut random = Random(5);
         for (number, picture) in self.pictures().iter().enumerate() {
-            let counts = self.frame(picture, &mut || random.normal());
+            let mut counts = self.frame(picture, &mut || random.normal());
+            for (pixel, count) in counts.iter_mut().enumerate() {
+                *count = change(pixel, *count);
+            }
             self.store(number, &counts);
         }
     }
@@ -336,4 +344,58 @@ fn bad_codes_are_refused_by_name() {
         "steps = 4\nframes = ['00.png', '01.png', '02.png', '03.png']\n",
     );
     refused(&listed, &["gray_code.frames", "one image per bit"]);
+}
+
+/// Counts of 12 bits in files of 16, without a described sensor: a spot that is lit twice as much as the rest saturates, and
+/// none of its pixels that the sensor clips has a point, wherever the counts stand in the 16 bits.
+#[test]
+fn saturated_pixels_of_12_bits_in_files_of_16_have_no_point() {
+    const SPOT: [std::ops::Range<usize>; 2] = [50..90, 30..60];
+    let steps = "[[set]]\nperiods = 1\nsteps = 6\n[[set]]\nperiods = 16\nsteps = 6\n";
+    let is_in_spot = |pixel: usize| {
+        let [column, row] = [pixel % CAMERA[0] as usize, pixel / CAMERA[0] as usize];
+        SPOT[0].contains(&column) && SPOT[1].contains(&row)
+    };
+    for (shift, source) in [(0, "clipping"), (4, "gaps")] {
+        let rig = Rig::new(steps, "");
+        let head = std::fs::read_to_string(rig.path("head.toml")).expect("read");
+        let without = head.split("[sensor]").next().expect("a head");
+        rig.capture_as(|pixel, count| {
+            let gain = if is_in_spot(pixel) { 2 } else { 1 };
+            (100 + gain * count.saturating_sub(100)).min(4095) << shift
+        });
+        std::fs::write(rig.path("head.toml"), without).expect("written");
+        let output = rig.decode();
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        let document: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let counts = &document["counts"];
+        assert_eq!(
+            (
+                &counts["source"],
+                &counts["full_scale_dn"],
+                &counts["shift_bits"]
+            ),
+            (&source.into(), &4095.into(), &shift.into()),
+            "{document}"
+        );
+        assert!(counts["clipped_pixels"].as_u64() > Some(1000), "{document}");
+        // The spot's dark tiles stay below the end of the counts.
+        let saturated = document["rejected"]["saturated"].as_u64().expect("a count");
+        assert!((400..900).contains(&saturated), "{document}");
+        let pixel = |[x, y, z]: &[f64; 3]| {
+            [200.0 * x / z + 79.5, 200.0 * y / z + 59.5].map(|px| px.round() as usize)
+        };
+        let is_over_exposed = |point: &&[f64; 3]| {
+            let [column, row] = pixel(point);
+            is_in_spot(row * CAMERA[0] as usize + column) && (row / 16 + column / 16) % 2 == 0
+        };
+        let points = vertices(&rig.path("cloud.ply"));
+        assert!(points.len() > 15_000, "{}", points.len());
+        let over_exposed = points.iter().filter(is_over_exposed).count();
+        assert_eq!(over_exposed, 0);
+    }
 }

@@ -51,7 +51,7 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let mut cut = stl.clone();
     cut.truncate(300);
     let mut lying = stl.clone();
-    lying[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+    lying[80..84].copy_from_slice(&(u32::MAX - 1).to_le_bytes());
     let mut nan = stl.clone();
     nan[96..100].copy_from_slice(&f32::NAN.to_le_bytes());
     let mut infinite = stl.clone();
@@ -95,7 +95,7 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
             "neither PLY",
         ),
         ("cut.stl", cut, "truncated"),
-        ("lying.stl", lying, "4294967295"),
+        ("lying.stl", lying, "4294967294"),
         ("nan.stl", nan, "NaN"),
         ("infinite.stl", infinite, "inf"),
         ("metres.stl", metres, "--cad-unit m"),
@@ -228,7 +228,11 @@ fn damaged_clouds_and_start_poses_are_refused() {
     let clouds: [(&str, Vec<u8>, &str); 8] = [
         ("empty.xyz", vec![], "empty"),
         ("comment.xyz", b"# nothing\n".to_vec(), "no points"),
-        ("nan.xyz", b"1 2 3\n4 nan 6\n".to_vec(), "line 2"),
+        (
+            "nan.xyz",
+            b"1 2 nan\n4 nan 6\n".to_vec(),
+            "none of the 2 points",
+        ),
         ("short.xyz", b"1 2 3\n4 5\n".to_vec(), "line 2"),
         (
             "image.xyz",
@@ -236,7 +240,7 @@ fn damaged_clouds_and_start_poses_are_refused() {
             "neither PLY nor text",
         ),
         ("count.ply", count, "4294967295"),
-        ("nan.ply", nan, "vertex 0"),
+        ("nan.ply", nan, "none of the 1 points"),
         (
             "noy.ply",
             ply_mesh(

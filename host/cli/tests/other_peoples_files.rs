@@ -5,7 +5,7 @@ mod support;
 use std::path::Path;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
-use flankscope_metrology::io::{Unit, cloud};
+use flankscope_metrology::io::{Unit, cloud, mesh};
 use flankscope_test_requisites::Random;
 use serde_json::Value;
 use support::{assert_refused, flankscope, json, write_xyz};
@@ -351,4 +351,124 @@ fn the_teeth_of_an_external_gear_are_counted() {
         let report = json(&flankscope(folder.path(), &args));
         assert_eq!(report["teeth"], 24, "{cad}");
     }
+}
+
+/// Points about a face of the cube, every fifth of them not finite, and an empty row of a scanner's grid.
+fn holed_text() -> (String, usize, usize) {
+    let (mut text, mut finite, mut not_finite) = (String::new(), 0, 0);
+    for i in 0..400 {
+        if i % 5 == 3 || (100..120).contains(&i) {
+            text += ["nan nan nan\n", "-nan(ind) 1 2\n", "1 2 -1.#INF\n"][i % 3];
+            not_finite += 1;
+        } else {
+            text += &format!(
+                "{} {} 10.25\n",
+                0.45 * (i % 20) as f64,
+                0.45 * (i / 20) as f64
+            );
+            finite += 1;
+        }
+    }
+    (text, finite, not_finite)
+}
+
+#[test]
+fn points_that_are_not_finite_are_left_out_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    cube_obj(folder, "cube.obj", &[0, 1, 2, 3, 4, 5], |_| false);
+    let (text, finite, not_finite) = holed_text();
+    std::fs::write(folder.join("holed.xyz"), text).unwrap();
+
+    let (report, said) = deviation(folder, "cube.obj", &["--cloud", "holed.xyz"]);
+    assert_eq!(report["count"], finite);
+    assert_eq!(report["points_not_finite"], not_finite);
+    assert_eq!(report["max_abs_mm"], 0.25);
+    let words = format!("{not_finite} of 400 points");
+    assert!(said.contains(&words) && said.contains("--strict"), "{said}");
+    let written = cloud::load(&folder.join("deviation.ply"), Unit::Mm).unwrap();
+    assert_eq!(written.points.len(), finite);
+
+    for (command, points) in [
+        (
+            &["register", "--cad", "cube.obj", "--cloud", "holed.xyz"][..],
+            "points",
+        ),
+        (
+            &[
+                "register",
+                "--reference",
+                "holed.xyz",
+                "--cloud",
+                "holed.xyz",
+            ][..],
+            "points",
+        ),
+        (
+            &["clean", "holed.xyz", "--share", "1", "-o", "clean.ply"][..],
+            "points",
+        ),
+        (
+            &[
+                "merge",
+                "holed.xyz",
+                "--voxel-mm",
+                "0.1",
+                "-o",
+                "merged.ply",
+            ][..],
+            "points",
+        ),
+    ] {
+        let output = flankscope(folder, &[command, &["--json", "-"]].concat());
+        let report = json(&output);
+        assert_eq!(report[points], finite, "{command:?}");
+        assert_eq!(report["points_not_finite"], not_finite, "{command:?}");
+        let strict = flankscope(folder, &[command, &["--strict"]].concat());
+        assert_refused(folder, command[0], &strict, &["holed.xyz", "line 4"]);
+    }
+    let (report, said) = deviation(
+        folder,
+        "cube.obj",
+        &["--cloud", "deviation.ply", "--strict"],
+    );
+    assert_eq!(
+        (&report["points_not_finite"], said.as_str()),
+        (&0.into(), "")
+    );
+}
+
+/// Bytes after the triangles of an STL are ignored with a note, and the distances are those of the STL without them.
+#[test]
+fn binary_stl_with_spare_bytes_is_read_with_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    cube_obj(folder, "cube.obj", &[0, 1, 2, 3, 4, 5], |_| false);
+    let mesh = mesh::load(&folder.join("cube.obj"), Unit::Mm).unwrap();
+    let mut bytes = Vec::new();
+    mesh::write_stl(&mut bytes, &mesh).unwrap();
+    bytes.extend([13, 10]);
+    std::fs::write(folder.join("spare.stl"), bytes).unwrap();
+    write_xyz(
+        &folder.join("cloud.xyz"),
+        &[[5.0, 5.0, 10.5], [9.75, 5.0, 5.0]],
+    );
+    let (report, said) = deviation(folder, "spare.stl", &["--cloud", "cloud.xyz"]);
+    assert_eq!(report["mean_mm"], 0.125);
+    assert!(
+        said.contains("spare.stl") && said.contains("2 bytes"),
+        "{said}"
+    );
+    // Named as a cloud, the file is refused as a mesh.
+    let args = [
+        "deviation",
+        "--cad",
+        "cube.obj",
+        "--cloud",
+        "spare.stl",
+        "-o",
+        "out.ply",
+    ];
+    let output = flankscope(folder, &args);
+    assert_refused(folder, "spare.stl", &output, &["sample"]);
 }

@@ -2,6 +2,8 @@
 
 mod support;
 
+use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
+use flankscope_metrology::io::{Unit, cloud};
 use flankscope_test_requisites::Random;
 use support::{assert_refused, flankscope, json, write_xyz};
 
@@ -149,4 +151,65 @@ fn clouds_of_many_metres_are_read_in_metres() {
         &output,
         &["far.xyz", "10000 mm", "--cloud-unit", "1 km"],
     );
+}
+
+/// Bore and end faces of a whole gear fit at any turn. Points of all of it, turned by more than half a pitch, are laid on the teeth.
+#[test]
+fn a_whole_gear_is_registered_from_any_turn_within_a_pitch() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let spec = GearSpec {
+        kind: GearKind::External,
+        teeth: 24,
+        module_mm: 2.5,
+        pressure_angle_rad: 20_f64.to_radians(),
+        tip_radius_mm: 32.5,
+        root_radius_mm: 26.875,
+        root_fillet_radius_mm: 0.0,
+        turned_rad: 0.0,
+        body_radius_mm: 8.0,
+        height_mm: [0.0, 10.0],
+    };
+    let mut bytes = Vec::new();
+    write_stl(&spec.mesh(&Meshing::default()).unwrap(), "gear", &mut bytes).unwrap();
+    std::fs::write(folder.join("gear.stl"), bytes).unwrap();
+    let args = [
+        "sample", "--cad", "gear.stl", "--count", "8000", "--seed", "3", "-o", "all.ply",
+    ];
+    assert_eq!(flankscope(folder, &args).status.code(), Some(0));
+    let points = cloud::load(&folder.join("all.ply"), Unit::Mm)
+        .unwrap()
+        .points;
+    let pitch_deg = 15.0;
+    for turn_deg in [2.0, 5.0, 7.5, 9.0, 12.0] {
+        let (sin, cos) = f64::to_radians(turn_deg).sin_cos();
+        let mut random = Random(7);
+        let turned: Vec<[f64; 3]> = points
+            .iter()
+            .map(|[x, y, z]| [x * cos - y * sin, x * sin + y * cos, *z])
+            .map(|point| point.map(|c| c + 0.005 * random.normal()))
+            .collect();
+        write_xyz(&folder.join("turned.xyz"), &turned);
+        let args = [
+            "register",
+            "--cad",
+            "gear.stl",
+            "--cloud",
+            "turned.xyz",
+            "--json",
+            "-",
+        ];
+        let output = flankscope(folder, &args);
+        assert_eq!(output.status.code(), Some(0), "{turn_deg}: {output:?}");
+        let report = json(&output);
+        assert_eq!(report["teeth"], 24);
+        let row = |i: usize| report["tool_from_cloud"][i][0].as_f64().unwrap();
+        let off_deg = row(1).atan2(row(0)).to_degrees() + turn_deg;
+        let off_deg = off_deg - pitch_deg * (off_deg / pitch_deg).round();
+        assert!(off_deg.abs() < 0.02, "{turn_deg}: {off_deg}");
+        assert!(
+            report["inliers"].as_u64() > Some(7600),
+            "{turn_deg}: {report}"
+        );
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use flankscope_profilometry::counts::CountRange;
 use flankscope_profilometry::plan::Plan;
 use flankscope_profilometry::{DecodeOptions, Decoder, HeadModel};
 
@@ -13,9 +14,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut head = HeadModel::load(Path::new(head))?;
     let plan = Plan::load(Path::new(plan))?;
     let size_px = [head.camera.width_px, head.camera.height_px];
-    let frames = plan.images(Path::new(images), size_px)?;
-    let bits = frames.first().map_or(8, |(_, image)| image.bits);
-    let sensor_assumed = head.take_sensor(plan.sensor, bits);
+    let mut frames = plan.images(Path::new(images), size_px)?;
+    let sensor_bits = plan.sensor.or(head.sensor).map(|sensor| sensor.bits);
+    let counts = CountRange::take(&mut frames, sensor_bits);
+    let sensor_assumed = head.take_sensor(plan.sensor, &counts);
     let options = DecodeOptions::for_images(&head, plan.dark_frame, sensor_assumed);
     let decoder = Decoder::new(&head, &plan.patterns, &plan.exposures_us, options)?;
     let mut sums = decoder.begin();

@@ -5,6 +5,7 @@
 //!  pattern      the projected fringes: frequencies and their phase steps, and a code
 //!  frame        one camera frame, borrowed where it lies
 //!  io           other people's files: grey images, OpenCV calibrations
+//!  counts       range of the camera's counts in images of others
 //!  head         camera, projector, sensor, core map, calibration record (`head.toml`)
 //!  cells        which pixels make a cell: blocks of them, or the cores of a bundle
 //!  accumulate   frames to one phasor per cell and frequency, streaming
@@ -48,6 +49,7 @@ pub mod accumulate;
 pub mod calibrate;
 pub mod cells;
 pub mod cloud;
+pub mod counts;
 pub mod decode;
 pub mod frame;
 pub mod frame_order;

@@ -374,6 +374,12 @@ fn what_is_wrong_is_named() {
         ),
         "{other}"
     );
+    let is_of_squares = kind != BoardKind::Circles;
+    assert_eq!(
+        other.to_string().contains("not squares"),
+        is_of_squares,
+        "{other}"
+    );
     // No board at all.
     let blank = Picture {
         mean: vec![120.0; good.mean.len()],

@@ -47,6 +47,7 @@ fn views(patterns: &PatternSet, dark: bool, gamma: f64) -> Vec<(FrameKind, GreyI
         width: SIZE[0],
         height: SIZE[1],
         bits: 8,
+        stated_largest_dn: None,
     };
     let mut views = Vec::new();
     if dark {

@@ -16,7 +16,7 @@ const DARK_FROM: usize = 60;
 fn decoded(noise_dn: f64, stray_dn: f64, sets: &[(f64, u32)]) -> (HeadModel, Decoded) {
     let head = HeadModel {
         // What `decode` takes for an 8 bit camera without `[sensor]`.
-        sensor: Some(Sensor::assumed(8)),
+        sensor: Some(Sensor::assumed(255)),
         ..head()
     };
     let surface = plane([0.1, 0.05, 1.0], 22.1);

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use flankscope_profilometry::counts::CountRange;
 use flankscope_profilometry::decode::{
     self as lib, ConsistencyOptions, DecodeOptions, PatchOptions, PhaseMaps,
 };
@@ -165,7 +166,7 @@ impl Decoder {
                 "bits is {bits}; 1 to 16 are needed"
             )));
         }
-        let sensor_assumed = head.take_sensor(sensor, bits.unwrap_or(16));
+        let sensor_assumed = head.take_sensor(sensor, &CountRange::from_bits(bits.unwrap_or(16)));
         let defaults = DecodeOptions::for_images(&head, plan.dark_frame, sensor_assumed);
         let options = DecodeOptions {
             binning: binning.unwrap_or(defaults.binning),

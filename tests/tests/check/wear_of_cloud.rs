@@ -142,7 +142,7 @@ fn what_a_cloud_does_not_show_is_never_go() {
     }
     let metres: String = lines().map(scaled).collect();
     for (bad, name) in [
-        ("nan 1 2\n", "nan"),
+        ("nan 1 2\n", "none of the 1 points"),
         ("", "empty"),
         (&metres, "--cloud-unit"),
     ] {

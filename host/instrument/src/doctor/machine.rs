@@ -23,6 +23,44 @@ fn free_bytes(place: &Path) -> std::io::Result<u64> {
     Ok(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
+/// Folder of the shared memory.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// Too little shared memory for the frames of a capture.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error(
+    "{SHARED_MEMORY} has {} MB free, the frames of a capture take {} MB: make it larger (mount -o remount,size=512M {SHARED_MEMORY}; of a \
+     container, --shm-size=512m) or free it",
+    free_bytes / MEGABYTE,
+    needed_bytes.div_ceil(MEGABYTE)
+)]
+pub struct SharedMemoryTooSmall {
+    /// Bytes free.
+    pub free_bytes: u64,
+    /// Bytes needed.
+    pub needed_bytes: u64,
+}
+
+/// Checks before a capture that the shared memory holds its frames. A file system whose size is not known is not checked: creating the
+/// services names what is wrong with it.
+///
+/// # Errors
+/// [`SharedMemoryTooSmall`].
+pub fn check_shared_memory() -> Result<(), SharedMemoryTooSmall> {
+    free_bytes(Path::new(SHARED_MEMORY)).map_or(Ok(()), check_free)
+}
+
+fn check_free(free_bytes: u64) -> Result<(), SharedMemoryTooSmall> {
+    let needed_bytes = SEGMENT_BYTES as u64;
+    match free_bytes < needed_bytes {
+        true => Err(SharedMemoryTooSmall {
+            free_bytes,
+            needed_bytes,
+        }),
+        false => Ok(()),
+    }
+}
+
 /// Creates the shared-memory services of a capture and removes them again.
 #[must_use]
 pub fn shared_memory(base: &Path) -> Finding {
@@ -113,6 +151,19 @@ pub fn clock(made: &[(&str, Date)]) -> Finding {
 mod tests {
     use super::*;
     use crate::doctor::Health;
+
+    #[test]
+    fn shared_memory_that_is_too_small_is_named_with_the_size_needed() {
+        let needed_bytes = SEGMENT_BYTES as u64;
+        assert_eq!(check_free(needed_bytes), Ok(()));
+        let error = check_free(64 * MEGABYTE).unwrap_err();
+        assert_eq!(error.needed_bytes, needed_bytes);
+        let words = error.to_string();
+        assert!(
+            words.contains("64 MB") && words.contains("--shm-size"),
+            "{words}"
+        );
+    }
 
     #[test]
     fn a_clock_that_runs_behind_what_was_made_is_wrong() {

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 pub use controller::controller;
-pub use machine::{clock, disk, shared_memory};
+pub use machine::{SharedMemoryTooSmall, check_shared_memory, clock, disk, shared_memory};
 
 /// Health of a checked item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -9,9 +9,10 @@ use flankscope_profilometry::calibrate::board::{
     self, Board, BoardAdjusted, BoardError, BoardFrames, BoardKind, BoardView,
 };
 use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::counts::CountRange;
 use flankscope_profilometry::decode::{GridKind, OrderConsistency};
 use flankscope_profilometry::frame::FrameKind;
-use flankscope_profilometry::head::{CalibrationRecord, Pinhole, RigidTransform, Sensor};
+use flankscope_profilometry::head::{CalibrationRecord, Pinhole, RigidTransform};
 use flankscope_profilometry::io::images::{GreyImage, ImageError, ImageHeader};
 use flankscope_profilometry::pattern::Axis;
 use flankscope_profilometry::plan::Plan;
@@ -227,7 +228,9 @@ impl BoardFolder {
         let [width, height] = self.camera_px.map(|px| px as usize);
         let mut mean = vec![0f32; width * height];
         let mut of_axis = |plan: &Plan| -> Result<Vec<CellColumn>, BoardFolderError> {
-            let frames = plan.images(pose, self.camera_px)?;
+            let mut frames = plan.images(pose, self.camera_px)?;
+            let sensor_bits = plan.sensor.map(|sensor| sensor.bits);
+            let counts = CountRange::take(&mut frames, sensor_bits);
             let lit = |frame: &&(FrameKind, GreyImage)| frame.0 != FrameKind::Dark;
             let share = 0.5 / frames.iter().filter(lit).count() as f32;
             for (_, image) in frames.iter().filter(lit) {
@@ -235,8 +238,7 @@ impl BoardFolder {
                     *sum += share * f32::from(count);
                 }
             }
-            let bits = frames.first().map_or(8, |(_, image)| image.bits);
-            let decoder = self.decoder(plan, bits)?;
+            let decoder = self.decoder(plan, &counts)?;
             let mut sums = decoder.begin();
             for (kind, image) in &frames {
                 sums.add(image.view(), *kind)?;
@@ -259,7 +261,7 @@ impl BoardFolder {
     }
 
     /// A decoder of phases: columns and rows of the projector do not depend on its pose.
-    fn decoder(&self, plan: &Plan, bits: u32) -> Result<Decoder, DecodeError> {
+    fn decoder(&self, plan: &Plan, counts: &CountRange) -> Result<Decoder, DecodeError> {
         let ideal = |[width_px, height_px]: [u32; 2]| Pinhole {
             width_px,
             height_px,
@@ -268,18 +270,16 @@ impl BoardFolder {
             distortion: [0.0; 5],
             residual: None,
         };
-        let head = HeadModel {
-            sensor: plan.sensor.or(Some(Sensor::assumed(bits))),
-            ..HeadModel::from_lenses(
-                "not calibrated",
-                ideal(self.camera_px),
-                ideal(self.projector_px),
-                RigidTransform {
-                    rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-                    translation_mm: [-100.0, 0.0, 0.0],
-                },
-            )
-        };
+        let mut head = HeadModel::from_lenses(
+            "not calibrated",
+            ideal(self.camera_px),
+            ideal(self.projector_px),
+            RigidTransform {
+                rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                translation_mm: [-100.0, 0.0, 0.0],
+            },
+        );
+        head.take_sensor(plan.sensor, counts);
         let options = DecodeOptions {
             grid: GridKind::Pixel,
             dark_frame: plan.dark_frame,

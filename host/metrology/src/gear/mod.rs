@@ -186,7 +186,14 @@ impl GearData {
             -360.0,
             360.0,
         )?;
-        within("radial_threshold_mm", self.radial_threshold_mm, 0.1, 5000.0)?;
+        // No flank may lie beyond it: points there do not count as toothing.
+        let [_, flank_end_mm] = self.active_flank_mm();
+        within(
+            "radial_threshold_mm",
+            self.radial_threshold_mm,
+            flank_end_mm.max(0.1),
+            5000.0,
+        )?;
         within("height_mm[0]", self.height_mm[0], -5000.0, 5000.0)?;
         within("height_mm[1]", self.height_mm[1], self.height_mm[0], 5000.0)?;
         let (tip_mm, pitch_mm, root_mm) = (

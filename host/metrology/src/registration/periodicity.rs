@@ -30,7 +30,13 @@ pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Opt
     if fits(0.123_456_7) && fits(0.765_432_1) {
         return None;
     }
-    (3..=MOST_TEETH).rev().find(|&n| fits(TAU / f64::from(n)))
+    // A turn by one of 121 pitches differs from one of 120 by less than the tolerance, if teeth are small. Turns by many do not.
+    let repeats = |&n: &u32| {
+        [1, n / 3, n / 2]
+            .iter()
+            .all(|&pitches| fits(TAU * f64::from(pitches) / f64::from(n)))
+    };
+    (3..=MOST_TEETH).rev().find(repeats)
 }
 
 /// Middles of facets that face around the axis rather than to it or along it, drawn by area; none if there are none. Lands, bores and

@@ -12,7 +12,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
-use flankscope_foundation::order::{median, quantile};
+use flankscope_foundation::order::quantile;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::gear::{Flank, GearData, GearKind, involute};
@@ -30,8 +30,19 @@ const ON_AXIS_MM: f64 = 1e-4;
 const LEAST_DISTINCT: f64 = 3.0;
 /// Corners farther from their involute are fillets, edges, or no flank, mm.
 const OFF_FLANK_MM: f64 = 0.05;
-/// Steps of the fit of the base radius, each of which squares what is left.
-const REFINEMENTS: usize = 5;
+/// Share of the flanks' corners, by area, to which the involute is fitted first: those that lie nearest.
+const NEAREST_SHARE: f64 = 0.5;
+/// Share of the flanks' corners, by area, whose scatter gives the gate: fewer, since fillets may be among the nearest half.
+const GATE_SHARE: f64 = 0.25;
+/// Fits to the nearest corners, after each of which they are chosen anew, and then to all within the gate.
+const NEAREST_FITS: usize = 30;
+const GATED_FITS: usize = 15;
+/// Ratio of the gate to the root mean square of the nearest quarter: 1.8 standard deviations of normally distributed ones.
+const GATE_RATIO: f64 = 10.0;
+/// Least width of the gate, mm: coordinates of single precision are rounded by less.
+const LEAST_GATE_MM: f64 = 1e-4;
+/// Halvings of the range of normals' lever arms to where they are densest.
+const ARM_HALVINGS: usize = 3;
 /// Pressure angles that gear data may have, rad.
 const PRESSURE_ANGLES: [f64; 2] = [5.0 * PI / 180.0, 45.0 * PI / 180.0];
 
@@ -70,7 +81,7 @@ pub enum NoGear {
     NoAxis,
     /// Too little of the surface faces around the axis.
     #[error(
-        "only {facets} facets face around the axis found, at least {least} are needed: this is no toothing, or a very coarse one"
+        "only {facets} facets face around the axis found, at least {least} are needed: this is no toothing, a very coarse one, or a helical one, which is not supported because flanks must be parallel to the axis"
     )]
     NoFlanks {
         /// Such facets.
@@ -91,7 +102,7 @@ pub enum NoGear {
     },
     /// The flanks are no involutes.
     #[error(
-        "half of the flank corners lie more than {off_mm:.3} mm from the involute of base radius {base_mm:.4} mm that fits best, at most \
+        "half of the flanks' corners, by area, lie more than {off_mm:.3} mm from the involute of base radius {base_mm:.4} mm that fits best, at most \
          {most_mm} mm may: the flanks are no involutes of a spur gear"
     )]
     NoInvolute {
@@ -249,8 +260,7 @@ fn axis_place(facets: &[MeshFacet]) -> Result<[f64; 2], NoGear> {
                 least: LEAST_FLANKS,
             });
         }
-        let mut arms: Vec<f64> = on_flanks.iter().map(|(arm, _)| arm.abs()).collect();
-        let base_mm = median(&mut arms).unwrap_or(0.0);
+        let base_mm = base_of_arms(&on_flanks);
         // Least squares of place and base radius, of flanks near the median.
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for (arm, facet) in on_flanks
@@ -272,6 +282,54 @@ fn axis_place(facets: &[MeshFacet]) -> Result<[f64; 2], NoGear> {
     Ok([at.x, at.y])
 }
 
+/// Base radius of a toothing by the lever arms of its normals: where they are densest by area. Fillets have many facets and little area,
+/// and their arms lie on one side.
+fn base_of_arms(arms: &[(f64, &MeshFacet)]) -> f64 {
+    let mut sizes: Vec<[f64; 2]> = arms
+        .iter()
+        .map(|(arm, facet)| [arm.abs(), facet.area_mm2])
+        .collect();
+    sizes.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut densest = &sizes[..];
+    for _ in 0..ARM_HALVINGS {
+        densest = densest_half(densest);
+    }
+    weighted_median(densest)
+}
+
+/// The narrowest run of sorted values with half of their weight.
+fn densest_half(sorted: &[[f64; 2]]) -> &[[f64; 2]] {
+    let half = 0.5 * sorted.iter().map(|[_, weight]| weight).sum::<f64>();
+    let (mut best, mut width) = (sorted, f64::INFINITY);
+    let (mut end, mut weight) = (0, 0.0);
+    for start in 0..sorted.len() {
+        while end < sorted.len() && weight < half {
+            weight += sorted[end][1];
+            end += 1;
+        }
+        if weight < half {
+            break;
+        }
+        if sorted[end - 1][0] - sorted[start][0] < width {
+            width = sorted[end - 1][0] - sorted[start][0];
+            best = &sorted[start..end];
+        }
+        weight -= sorted[start][1];
+    }
+    best
+}
+
+/// Median of sorted values with weights; NaN of none.
+fn weighted_median(sorted: &[[f64; 2]]) -> f64 {
+    let half = 0.5 * sorted.iter().map(|[_, weight]| weight).sum::<f64>();
+    let mut weight = 0.0;
+    let at = sorted.iter().find(|value| {
+        weight += value[1];
+        weight >= half
+    });
+    at.map_or(f64::NAN, |value| value[0])
+}
+
 /// Lever arm of a facet's normal about an axis along z; none of a land or an end face.
 fn across(facet: &MeshFacet, [x, y]: [f64; 2]) -> Option<f64> {
     let n = facet.normal;
@@ -281,17 +339,26 @@ fn across(facet: &MeshFacet, [x, y]: [f64; 2]) -> Option<f64> {
     (n.z.abs() < 0.1 && radius > 0.0 && arm.abs() >= FRAC_1_SQRT_2 * radius).then_some(arm)
 }
 
-/// Corners of flanks and lands.
+/// Flanks and lands, and the involutes of the flanks.
 struct Toothing {
     kind: GearKind,
     teeth: u32,
     base_mm: f64,
-    /// Corners of flank facets: side, radius, angle, height.
-    flanks: Vec<(Flank, [f64; 3])>,
-    /// Middles of flank facets, likewise.
-    middles: Vec<(Flank, [f64; 3])>,
+    /// Angles at which the involutes of left and right flanks begin, modulo the pitch, rad.
+    begins_rad: [f64; 2],
+    /// Corners within this distance lie on the involutes, mm.
+    gate_mm: f64,
+    flanks: Vec<FlankFacet>,
     /// Corners of lands: radius, angle.
     lands: Vec<[f64; 2]>,
+}
+
+/// A facet that may lie on a flank. Places are radius, angle and height.
+struct FlankFacet {
+    side: Flank,
+    corners: [[f64; 3]; 3],
+    middle: [f64; 3],
+    area_mm2: f64,
 }
 
 /// Facets of flanks: those whose normals pass the axis at the base radius.
@@ -309,8 +376,7 @@ impl<'a> OnFlanks<'a> {
             .iter()
             .filter_map(|facet| Some((across(facet, [0.0; 2])?, facet)));
         let arms: Vec<(f64, &MeshFacet)> = arms.collect();
-        let mut sizes: Vec<f64> = arms.iter().map(|(arm, _)| arm.abs()).collect();
-        let base_mm = median(&mut sizes).unwrap_or(f64::NAN);
+        let base_mm = base_of_arms(&arms);
         let is_flank = |(arm, _): &&(f64, &MeshFacet)| (arm.abs() - base_mm).abs() < 0.05 * base_mm;
         let side = |arm: f64| match arm * Flank::Left.sign() > 0.0 {
             true => Flank::Left,
@@ -366,18 +432,23 @@ impl Toothing {
             .lands(facets)
             .filter(|(radial, _)| outwards * radial > 0.0);
         let lands = lands.flat_map(|(_, facet)| facet.corners.map(place));
-        let corners = |&(side, facet): &(Flank, &MeshFacet)| {
-            facet.corners.map(|corner| (side, place(corner)))
+        let on_flank = |&(side, facet): &(Flank, &MeshFacet)| FlankFacet {
+            side,
+            corners: facet.corners.map(place),
+            middle: place(facet.middle.into()),
+            area_mm2: facet.area_mm2,
         };
-        let middle = |&(side, facet): &(Flank, &MeshFacet)| (side, place(facet.middle.into()));
-        Self {
+        let mut toothing = Self {
             kind,
             teeth,
             base_mm: flanks.base_mm,
+            begins_rad: [f64::NAN; 2],
+            gate_mm: OFF_FLANK_MM,
             lands: lands.map(|[radius, angle, _]| [radius, angle]).collect(),
-            flanks: flanks.facets.iter().flat_map(corners).collect(),
-            middles: flanks.facets.iter().map(middle).collect(),
-        }
+            flanks: flanks.facets.iter().map(on_flank).collect(),
+        };
+        toothing.begins_rad = [Flank::Left, Flank::Right].map(|side| toothing.begin_rad(side));
+        toothing
     }
 
     fn pitch_rad(&self) -> f64 {
@@ -389,49 +460,133 @@ impl Toothing {
         Some(self.outwards() * involute(self.base_mm / radius_mm)?)
     }
 
-    /// Where the involutes of one side begin, modulo the pitch.
+    /// Corners of the facets, with a third of the facet's area each.
+    fn corners(&self) -> impl Iterator<Item = (Flank, [f64; 3], f64)> {
+        self.flanks.iter().flat_map(|facet| {
+            let weight_mm2 = facet.area_mm2 / 3.0;
+            facet.corners.map(|corner| (facet.side, corner, weight_mm2))
+        })
+    }
+
+    /// Angle at which the involutes of one side begin, modulo the pitch, by the base radius of the normals: the densest by area.
     fn begin_rad(&self, side: Flank) -> f64 {
         let pitch = self.pitch_rad();
         let begins = || {
-            let of_side = self.flanks.iter().filter(move |(flank, _)| *flank == side);
-            of_side.filter_map(|(_, [radius, angle, _])| {
-                Some(angle - side.sign() * self.roll_rad(*radius)?)
+            let of_side = self.corners().filter(move |(flank, ..)| *flank == side);
+            of_side.filter_map(|(_, [radius, angle, _], weight_mm2)| {
+                Some([angle - side.sign() * self.roll_rad(radius)?, weight_mm2])
             })
         };
-        // A mean on the circle first, then the median about it, which fillets do not move.
+        // A mean on the circle first, then the densest about it, which fillets do not move.
         let rough = mean_modulo(begins(), pitch);
-        let mut off: Vec<f64> = begins().map(|begin| modulo(begin - rough, pitch)).collect();
-        rough + median(&mut off).unwrap_or(f64::NAN)
+        let mut off: Vec<[f64; 2]> = begins()
+            .map(|[begin, weight_mm2]| [modulo(begin - rough, pitch), weight_mm2])
+            .collect();
+        off.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        rough + weighted_median(densest_half(&off))
     }
 
-    /// Fits the base radius to the corners, which lie on the involute where the facets' normals only nearly do: linear least squares
-    /// of where both sides begin and of the base radius, repeated.
+    /// Distance of a place from the involute of its side, along the normal, mm; none within the base circle.
+    fn off_mm(&self, side: Flank, [radius, angle, _]: [f64; 3]) -> Option<f64> {
+        let begin = self.begins_rad[usize::from(side != Flank::Left)];
+        let off = angle - side.sign() * self.roll_rad(radius)? - begin;
+        Some(self.base_mm * modulo(off, self.pitch_rad()))
+    }
+
+    /// Fits the involutes to the corners, which lie on them where the facets' normals only nearly do: first to that half of the area
+    /// which lies nearest, chosen anew after every fit (least trimmed squares, Rousseeuw and Van Driessen 2006), then to all within a
+    /// gate that follows from its scatter. Fillets tangent to the flanks, chamfers, rounded tips and tip relief are outside the gate.
+    ///
+    /// The trimmed fit is begun with all corners and with those of parts of the flank's height; the best of these counts.
     fn refine(&mut self) {
-        for _ in 0..REFINEMENTS {
-            let begins = [Flank::Left, Flank::Right].map(|side| self.begin_rad(side));
-            let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-            for (side, [radius, angle, _]) in &self.flanks {
-                let is_left = *side == Flank::Left;
-                let begin = begins[usize::from(!is_left)];
-                let Some(roll) = self.roll_rad(*radius) else {
-                    continue;
-                };
-                let off = modulo(angle - side.sign() * roll - begin, self.pitch_rad());
-                if (off * self.base_mm).abs() > OFF_FLANK_MM {
-                    continue;
-                }
-                // The involute function of the angle with cosine b / r falls with b by tan(angle) / b, so its beginning moves on.
-                let tangent = (radius * radius - self.base_mm * self.base_mm).sqrt() / self.base_mm;
-                let per_base = side.sign() * self.outwards() * tangent / self.base_mm;
-                let row = Vector3::new(f64::from(is_left), f64::from(!is_left), -per_base);
-                normal += row * row.transpose();
-                right += off * row;
+        let start = (self.base_mm, self.begins_rad);
+        let mut best = (f64::INFINITY, start);
+        for [low_mm, high_mm] in self.start_radii_mm() {
+            (self.base_mm, self.begins_rad) = start;
+            let mut is_fitted = self.fit(OFF_FLANK_MM, [low_mm, high_mm]);
+            for _ in 0..NEAREST_FITS {
+                is_fitted =
+                    is_fitted && self.fit(self.nearest_mm(NEAREST_SHARE), [0.0, f64::INFINITY]);
             }
-            match normal.cholesky() {
-                Some(of) => self.base_mm += of.solve(&right).z,
-                None => return,
+            let rms_mm = self.rms_mm(self.nearest_mm(NEAREST_SHARE));
+            if is_fitted && rms_mm < best.0 {
+                best = (rms_mm, (self.base_mm, self.begins_rad));
             }
         }
+        (self.base_mm, self.begins_rad) = best.1;
+        for _ in 0..GATED_FITS {
+            let rms_mm = self.rms_mm(self.nearest_mm(GATE_SHARE));
+            self.gate_mm = (GATE_RATIO * rms_mm).clamp(LEAST_GATE_MM, OFF_FLANK_MM);
+            self.fit(self.gate_mm, [0.0, f64::INFINITY]);
+        }
+    }
+
+    /// All radii, and parts of those on the flanks.
+    fn start_radii_mm(&self) -> [[f64; 2]; 4] {
+        let mut radii: Vec<f64> = self.corners().map(|(_, [radius, ..], _)| radius).collect();
+        let at = |share| quantile(&mut radii, share).unwrap_or(f64::NAN);
+        let [low, first, second, high] = [0.0, 0.35, 0.65, 1.0].map(at);
+        [[low, high], [low, second], [first, high], [first, second]]
+    }
+
+    /// Root mean square distance of corners within a distance, weighted by area, mm.
+    fn rms_mm(&self, within_mm: f64) -> f64 {
+        let (mut squares, mut weight) = (0.0, 0.0);
+        for (side, corner, weight_mm2) in self.corners() {
+            let off = self.off_mm(side, corner);
+            if let Some(off) = off.filter(|off| off.abs() <= within_mm) {
+                squares += weight_mm2 * off * off;
+                weight += weight_mm2;
+            }
+        }
+        (squares / weight).sqrt()
+    }
+
+    /// Distance within which a share of the corners lies, by area, mm.
+    fn nearest_mm(&self, share: f64) -> f64 {
+        let mut off: Vec<[f64; 2]> = self
+            .corners()
+            .map(|(side, corner, weight_mm2)| {
+                let off = self.off_mm(side, corner);
+                [off.map_or(f64::INFINITY, f64::abs), weight_mm2]
+            })
+            .collect();
+        off.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let most = share * off.iter().map(|[_, weight]| weight).sum::<f64>();
+        let mut weight = 0.0;
+        let last = off.iter().find(|value| {
+            weight += value[1];
+            weight >= most
+        });
+        last.map_or(f64::NAN, |value| value[0])
+    }
+
+    /// Linear least squares of where both sides begin and of the base radius, of corners within a distance and between two radii,
+    /// weighted by area. Returns whether there was a solution.
+    fn fit(&mut self, within_mm: f64, [low_mm, high_mm]: [f64; 2]) -> bool {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (side, corner, weight_mm2) in self.corners() {
+            let is_used =
+                |off: &f64| off.abs() <= within_mm && (low_mm..=high_mm).contains(&corner[0]);
+            let Some(off) = self.off_mm(side, corner).filter(is_used) else {
+                continue;
+            };
+            // The involute function of the angle with cosine b / r falls with b by tan(angle) / b, so its beginning moves on.
+            let [radius, ..] = corner;
+            let tangent = (radius * radius - self.base_mm * self.base_mm).sqrt() / self.base_mm;
+            let per_base = side.sign() * self.outwards() * tangent / self.base_mm;
+            let is_left = side == Flank::Left;
+            let row = Vector3::new(f64::from(is_left), f64::from(!is_left), -per_base);
+            normal += weight_mm2 * row * row.transpose();
+            right += weight_mm2 * off / self.base_mm * row;
+        }
+        let Some(step) = normal.cholesky().map(|factor| factor.solve(&right)) else {
+            return false;
+        };
+        self.begins_rad[0] += step.x;
+        self.begins_rad[1] += step.y;
+        self.base_mm += step.z;
+        true
     }
 
     /// Sign with which the involute function enters a tooth's half angle.
@@ -444,7 +599,7 @@ impl Toothing {
 
     fn gear(&self) -> Result<(GearData, f64), NoGear> {
         let pitch = self.pitch_rad();
-        let [left, right] = [Flank::Left, Flank::Right].map(|side| self.begin_rad(side));
+        let [left, right] = self.begins_rad;
         let mut radii: Vec<f64> = self.lands.iter().map(|[radius, _]| *radius).collect();
         let [inner_mm, outer_mm] =
             [0.0, 1.0].map(|share| quantile(&mut radii, share).unwrap_or(f64::NAN));
@@ -457,7 +612,7 @@ impl Toothing {
             .lands
             .iter()
             .filter(|[radius, _]| near_tip(*radius))
-            .map(|[_, angle]| *angle);
+            .map(|[_, angle]| [*angle, 1.0]);
         let tip_centre = mean_modulo(tips, pitch);
         // The mean of both sides is a tooth's centre or that of a space: the tips tell.
         let half = 0.5 * (left + right);
@@ -469,7 +624,10 @@ impl Toothing {
                     .total_cmp(&modulo(b - tip_centre, pitch).abs())
             })
             .unwrap_or(half);
-        let begin = modulo(Flank::Left.sign() * (left - centre), pitch);
+        // A tooth's half angle is below half a pitch on the flank. At the base circle it may be above.
+        let middle_mm = (0.5 * (tip_mm + root_mm)).max(self.base_mm);
+        let roll = self.roll_rad(middle_mm).unwrap_or(f64::NAN);
+        let begin = modulo(Flank::Left.sign() * (left - centre) + roll, pitch) - roll;
         let quarter = PI / (2.0 * f64::from(self.teeth));
         let rise = match self.kind {
             GearKind::Internal => quarter - begin,
@@ -489,29 +647,39 @@ impl Toothing {
             height_mm: [0.0; 2],
             radial_threshold_mm: tip_mm.max(root_mm) + module_mm,
         };
-        let off = |(flank, [radius, angle, _]): &(Flank, [f64; 3])| {
-            let point = [radius * angle.cos(), radius * angle.sin(), 0.0];
-            Some(
-                gear.involute_deviation_mm(gear.tooth_at(*angle), *flank, point)?
-                    .abs(),
-            )
-        };
-        let mut corners: Vec<f64> = self.flanks.iter().filter_map(off).collect();
-        let off_mm = median(&mut corners).unwrap_or(f64::INFINITY);
-        if off_mm > OFF_FLANK_MM {
+        let mut off: Vec<[f64; 2]> = self
+            .corners()
+            .filter_map(|(side, corner, weight_mm2)| {
+                Some([self.off_mm(side, corner)?.abs(), weight_mm2])
+            })
+            .collect();
+        off.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let off_mm = weighted_median(&off);
+        if off_mm.is_nan() || off_mm > OFF_FLANK_MM {
             return Err(NoGear::NoInvolute {
                 off_mm,
                 base_mm: self.base_mm,
                 most_mm: OFF_FLANK_MM,
             });
         }
-        let is_on = |at: &&(Flank, [f64; 3])| off(at).is_some_and(|mm| mm < OFF_FLANK_MM);
-        let heights = self.flanks.iter().filter(is_on).map(|(_, [.., z])| *z);
-        let height_mm = heights.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| {
-            [low.min(z), high.max(z)]
+        let is_within = |side: Flank, corner: [f64; 3], most_mm: f64| {
+            self.off_mm(side, corner)
+                .is_some_and(|off| off.abs() <= most_mm)
+        };
+        let on_flank = self
+            .corners()
+            .filter(|&(side, corner, _)| is_within(side, corner, OFF_FLANK_MM));
+        let height_mm = on_flank
+            .map(|(_, [.., z], _)| z)
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| {
+                [low.min(z), high.max(z)]
+            });
+        let chords = self.flanks.iter().filter(|facet| {
+            let mut corners = facet.corners.iter();
+            corners.all(|corner| is_within(facet.side, *corner, self.gate_mm))
         });
-        let on_flank = self.middles.iter().filter(is_on).filter_map(off);
-        let chord_error_mm = quantile(&mut on_flank.collect::<Vec<_>>(), 0.99).unwrap_or(f64::NAN);
+        let chords = chords.filter_map(|facet| Some(self.off_mm(facet.side, facet.middle)?.abs()));
+        let chord_error_mm = quantile(&mut chords.collect::<Vec<_>>(), 0.99).unwrap_or(f64::NAN);
         gear.height_mm = height_mm;
         Ok((gear, chord_error_mm))
     }
@@ -522,11 +690,11 @@ fn modulo(angle: f64, pitch: f64) -> f64 {
     angle - pitch * (angle / pitch).round()
 }
 
-/// Mean of angles that are known up to whole pitches.
-fn mean_modulo(angles: impl Iterator<Item = f64>, pitch: f64) -> f64 {
-    let (x, y) = angles.fold((0.0, 0.0), |(x, y), angle| {
+/// Mean of angles that are known up to whole pitches, each with a weight.
+fn mean_modulo(angles: impl Iterator<Item = [f64; 2]>, pitch: f64) -> f64 {
+    let (x, y) = angles.fold((0.0, 0.0), |(x, y), [angle, weight]| {
         let phase = TAU * angle / pitch;
-        (x + phase.cos(), y + phase.sin())
+        (x + weight * phase.cos(), y + weight * phase.sin())
     });
     y.atan2(x) * pitch / TAU
 }

@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::counts::CountRange;
 use crate::io::opencv::is_file_storage;
 use flankscope_foundation::date::Date;
 use flankscope_foundation::seal::Seal;
@@ -124,11 +125,16 @@ fn one() -> u32 {
 }
 
 impl HeadModel {
-    /// Sets the sensor model of the frames: the plan's, else the head's, else one assumed for `bits`. Returns whether it was assumed.
-    pub fn take_sensor(&mut self, of_plan: Option<Sensor>, bits: u32) -> bool {
-        let said = of_plan.or(self.sensor);
-        self.sensor = said.or(Some(Sensor::assumed(bits)));
-        said.is_none()
+    /// Sets the sensor model of the frames: the plan's, else the head's, else one assumed for their counts. It ends where counts are
+    /// clipped, if that is lower. Returns whether it was assumed.
+    pub fn take_sensor(&mut self, of_plan: Option<Sensor>, counts: &CountRange) -> bool {
+        let stated = of_plan.or(self.sensor);
+        self.sensor = Some(match stated {
+            Some(sensor) if counts.clipped_pixels > 0 => sensor.ending_at(counts.full_scale_dn),
+            Some(sensor) => sensor,
+            None => Sensor::assumed(counts.full_scale_dn),
+        });
+        stated.is_none()
     }
 
     /// Reads `head.toml`, or an OpenCV calibration (XML or YAML) with `Kc kc Kp kp Rp Tp`.

@@ -21,17 +21,29 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// For frames of unknown origin: a 10 000 electron sensor that fills its bits, 10 electrons of read noise, no offset.
+    /// For frames of unknown origin whose counts end at `full_scale_dn`: a 10 000 electron sensor that fills them, 10 electrons of read noise, no offset.
     ///
     /// Sensible for an 8 or 10 bit industrial camera; predicted uncertainties are then indicative only.
-    pub fn assumed(bits: u32) -> Self {
-        let full_scale_dn = full_scale_dn(bits);
+    pub fn assumed(full_scale_dn: u16) -> Self {
         Self {
             full_well_e: 10_000.0,
-            gain_e_per_dn: 10_000.0 / full_scale_dn,
+            gain_e_per_dn: 10_000.0 / f64::from(full_scale_dn.max(1)),
             read_noise_e: 10.0,
             offset_dn: 0.0,
-            bits,
+            bits: (16 - full_scale_dn.leading_zeros()).max(8),
+        }
+    }
+
+    /// Returns the sensor with a full well that this count reaches at the latest.
+    #[must_use]
+    pub fn ending_at(self, count_dn: u16) -> Self {
+        let most_e = (f64::from(count_dn) - self.offset_dn) * self.gain_e_per_dn;
+        match most_e > 0.0 {
+            true => Self {
+                full_well_e: self.full_well_e.min(most_e),
+                ..self
+            },
+            false => self,
         }
     }
 

@@ -18,8 +18,11 @@ pub struct GreyImage {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// 8 or 16.
+    /// Bits of a stored number, 8 or 16.
     pub bits: u32,
+    /// Largest count of the camera, where the file states one below the end of its numbers: the largest value of a PGM, 2^n - 1 of n
+    /// significant bits (`sBIT`) of a PNG or in the tag `MaxSampleValue` of a TIFF.
+    pub stated_largest_dn: Option<u16>,
 }
 
 impl GreyImage {
@@ -159,8 +162,10 @@ pub struct ImageHeader {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// 8 or 16.
+    /// Bits of a stored number, 8 or 16.
     pub bits: u32,
+    /// Largest count that the file states, see [`GreyImage::stated_largest_dn`].
+    pub stated_largest_dn: Option<u16>,
 }
 
 impl ImageHeader {
@@ -264,10 +269,15 @@ impl<R: BufRead + Seek> Opened<R> {
                 });
             }
         };
+        let significant = info.sbit.as_ref().and_then(|bits| bits.first());
+        let significant = significant.map(|&bits| u32::from(bits));
         let header = ImageHeader {
             width: info.width,
             height: info.height,
             bits,
+            stated_largest_dn: significant
+                .filter(|significant| (1..bits).contains(significant))
+                .map(|significant| ((1u32 << significant) - 1) as u16),
         };
         Ok(Self::Png(Box::new(reader), header))
     }
@@ -306,10 +316,16 @@ impl<R: BufRead + Seek> Opened<R> {
                 reason: "holds several images".into(),
             });
         }
+        // Some programs write the largest count of the image there; that of a camera is 2^n - 1.
+        let largest = reader.find_tag_unsigned::<u32>(Tag::MaxSampleValue);
+        let largest = largest.map_err(&broken)?.unwrap_or(0);
+        let is_of_camera =
+            (largest + 1).is_power_of_two() && (1 << 8..(1 << bits) - 1).contains(&largest);
         let header = ImageHeader {
             width,
             height,
             bits: bits.into(),
+            stated_largest_dn: is_of_camera.then_some(largest as u16),
         };
         Ok(Self::Tiff(Box::new(reader), header))
     }
@@ -325,6 +341,7 @@ impl<R: BufRead + Seek> Opened<R> {
             width,
             height,
             bits,
+            stated_largest_dn,
         } = self.header();
         let (width, height) = (width as usize, height as usize);
         let byte_count = width * height * (bits as usize / 8);
@@ -363,7 +380,14 @@ impl<R: BufRead + Seek> Opened<R> {
                         reason,
                     });
                 }
-                counts_of_bytes(bytes, bits)
+                let counts = counts_of_bytes(bytes, bits);
+                if stated_largest_dn.is_some_and(|largest| counts.iter().any(|&c| c > largest)) {
+                    return Err(ImageError::Pgm {
+                        path: path.to_owned(),
+                        reason: "a pixel is above the largest value of its header",
+                    });
+                }
+                counts
             }
         };
         Ok(GreyImage {
@@ -371,6 +395,7 @@ impl<R: BufRead + Seek> Opened<R> {
             width,
             height,
             bits,
+            stated_largest_dn,
         })
     }
 }
@@ -433,6 +458,7 @@ fn pgm_header(file: &mut impl Read) -> Result<ImageHeader, &'static str> {
         width,
         height,
         bits,
+        stated_largest_dn: (largest + 1 < 1 << bits).then_some(largest as u16),
     })
 }
 
@@ -535,6 +561,7 @@ mod tests {
         );
         let image = load_grey(&sixteen, [2, 1]).unwrap();
         assert_eq!((image.bits, &image.pixels[..]), (16, &[4095, 258][..]));
+        assert_eq!(image.stated_largest_dn, Some(4095));
     }
 
     /// A TIFF of one strip, as TIFF 6.0 (Adobe, 1992) lays it out.
@@ -597,6 +624,16 @@ mod tests {
             let step = if bits == 8 { 1 } else { 257 };
             let expected: Vec<u16> = (0..6).map(|i| step * i).collect();
             assert_eq!((image.bits, image.pixels), (bits, expected));
+            assert_eq!(image.stated_largest_dn, None);
+        }
+        for (largest, expected) in [(4095, Some(4095)), (65_535, None), (3017, None)] {
+            let path = file(
+                folder.path(),
+                "a.tif",
+                &tiff(false, [3, 2], 16, &[(281, largest)]),
+            );
+            let image = load_grey(&path, [3, 2]).unwrap();
+            assert_eq!(image.stated_largest_dn, expected);
         }
     }
 
@@ -641,6 +678,11 @@ mod tests {
             ("long.pgm", b"P5 2 1 255\n\x0f\xff\x01", "goes on"),
             ("wide.pgm", b"P5 3 1 255\n\x0f\xff\x01", "3 x 1"),
             ("deep.pgm", b"P5 2 1 65536\n\x0f\xff\x01\x02", "65535"),
+            (
+                "above.pgm",
+                b"P5 2 1 4095\n\x10\x00\x01\x02",
+                "above the largest value",
+            ),
             ("none.pgm", b"P5 2 one 255\n\x0f\xff", "header"),
             ("text.pgm", b"P2 2 1 255\n1 2\n", "neither"),
             ("cut.png", b"\x89PNG\r\n\x1a\n\x00\x00", "not a whole PNG"),

@@ -2,7 +2,7 @@
 
 use flankscope_foundation::npz::{self, Array};
 
-use super::{Cloud, CloudError, FinitePoints};
+use super::{CloudError, UncheckedCloud};
 use crate::io::ply::{Extra, Scalar};
 
 /// The points' array, and that of a mesh's triangles, which a cloud has no use for.
@@ -13,7 +13,7 @@ const TRIANGLES: &str = "triangles";
 pub(super) const MAGIC: &[u8] = b"PK";
 
 /// Points and properties of an archive.
-pub(super) fn parse(bytes: &[u8]) -> Result<Cloud, CloudError> {
+pub(super) fn parse(bytes: &[u8]) -> Result<UncheckedCloud, CloudError> {
     let arrays = npz::read(bytes)?;
     let bad = |array: &Array<'_>, why: &str| CloudError::Array {
         name: array.name.clone(),
@@ -46,8 +46,8 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Cloud, CloudError> {
         }
         Ok(extra(array, kind))
     });
-    Ok(Cloud {
-        points: FinitePoints::new(each.collect())?,
+    Ok(UncheckedCloud {
+        points: each.collect(),
         coordinate,
         extras: extras.collect::<Result<_, CloudError>>()?,
     })

@@ -1,6 +1,7 @@
 //! Point clouds at the border: PLY, arrays or XYZ text in, PLY or arrays out.
 
 mod arrays;
+mod pcd;
 mod text;
 
 use std::io::{self, Write};
@@ -9,10 +10,10 @@ use std::path::Path;
 use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
 use flankscope_foundation::npz::NpzError;
 
-use crate::io::mesh::stl;
+use crate::io::mesh::{stl, stl_irregular};
 use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
 use crate::io::points::{Format, PointFile};
-use crate::io::{Unit, word};
+use crate::io::{NonFinite, Unit, word};
 use crate::space::Aabb;
 
 /// Points that are known to be finite, mm. Nothing else may feed a tree, a registration or a verdict.
@@ -103,6 +104,19 @@ pub enum CloudError {
     /// A mesh in the place of a cloud.
     #[error("the file is a mesh (STL); `flankscope sample` makes points of it")]
     Mesh,
+    /// A PCD whose header lacks a line, or has one that does not fit the others.
+    #[error(
+        "the line {key} of the PCD header is missing or does not fit the others; right would be FIELDS with x, y and z, and one number per field in SIZE, TYPE (F, I, U) and COUNT"
+    )]
+    PcdHeader {
+        /// First word of the line.
+        key: &'static str,
+    },
+    /// A PCD with compressed points.
+    #[error(
+        "the PCD is compressed (DATA binary_compressed); write it again with DATA binary or DATA ascii (for example `pcl_convert_pcd_ascii_binary in.pcd out.pcd 1`)"
+    )]
+    PcdCompressed,
     /// No points.
     #[error("the cloud has no points; at least one is needed")]
     NoPoints,
@@ -179,7 +193,7 @@ pub enum CloudError {
     },
     /// Where nothing that is measured can lie.
     #[error(
-        "point {index}: coordinate {axis} is {value} mm; every coordinate must lie within {most_mm} mm of the origin"
+        "point {index}: coordinate {axis} is {value} mm; every coordinate must lie within {most_mm} mm of the origin; of coordinates of a map (UTM), subtract the same offset from all points, here {} mm from {axis}", offset_mm(*value)
     )]
     Far {
         /// Point, from 0.
@@ -203,6 +217,14 @@ pub enum CloudError {
         /// The value.
         sigma_mm: f32,
     },
+    /// No point of the file is finite.
+    #[error(
+        "none of the {points} points has finite coordinates; look whether its first columns are x, y and z"
+    )]
+    AllNonFinite {
+        /// Number of points in the file.
+        points: usize,
+    },
     /// NaN or infinity.
     #[error("point {index}: coordinate {axis} is {value}; every coordinate must be finite")]
     NonFinite {
@@ -215,8 +237,20 @@ pub enum CloudError {
     },
 }
 
-/// Loads a cloud; PLY is told by its first line, arrays by theirs, everything else is read as text. Arrays are in mm; no other
-/// format says its unit.
+/// Round offset that brings a coordinate near to the origin, mm: whole kilometres.
+fn offset_mm(value: f64) -> f64 {
+    1e6 * (1e-6 * value).round()
+}
+
+/// A cloud as its file holds it.
+struct UncheckedCloud {
+    points: Vec<[f64; 3]>,
+    coordinate: Scalar,
+    extras: Vec<Extra>,
+}
+
+/// Loads a cloud all of whose points are finite. PLY is told by its first line, arrays by theirs, everything else is read as text.
+/// Arrays are in mm; no other format says its unit.
 ///
 /// # Errors
 /// [`CloudError`] names what is wrong and what would be right.
@@ -224,11 +258,58 @@ pub fn load(path: &Path, unit: Unit) -> Result<Cloud, CloudError> {
     parse(&read_regular(path, MOST_DATA_BYTES)?, unit)
 }
 
+/// Loads the finite points of a cloud, as [`load`] does. Returns the number of the other points, too.
+///
+/// # Errors
+/// [`CloudError::AllNonFinite`], and those of [`load`].
+pub fn load_finite(path: &Path, unit: Unit) -> Result<(Cloud, usize), CloudError> {
+    parse_finite(&read_regular(path, MOST_DATA_BYTES)?, unit)
+}
+
 /// As [`load`], from memory.
 ///
 /// # Errors
 /// As [`load`].
 pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
+    let cloud = parse_unchecked(bytes, unit, NonFinite::Refuse)?;
+    let cloud = Cloud {
+        points: FinitePoints::new(cloud.points)?,
+        coordinate: cloud.coordinate,
+        extras: cloud.extras,
+    };
+    cloud.in_unit(unit)
+}
+
+/// Parses the finite points of a cloud in memory, as [`load_finite`].
+///
+/// # Errors
+/// As [`load_finite`].
+pub fn parse_finite(bytes: &[u8], unit: Unit) -> Result<(Cloud, usize), CloudError> {
+    let mut cloud = parse_unchecked(bytes, unit, NonFinite::Drop)?;
+    let points = cloud.points.len();
+    let is_finite = |point: &[f64; 3]| point.iter().all(|c| c.is_finite());
+    let kept: Vec<bool> = cloud.points.iter().map(is_finite).collect();
+    let dropped = kept.iter().filter(|kept| !**kept).count();
+    if dropped == points {
+        return Err(CloudError::AllNonFinite { points });
+    }
+    if dropped > 0 {
+        cloud.points.retain(is_finite);
+        cloud.extras.iter_mut().for_each(|extra| extra.keep(&kept));
+    }
+    let cloud = Cloud {
+        points: FinitePoints::new(cloud.points)?,
+        coordinate: cloud.coordinate,
+        extras: cloud.extras,
+    };
+    Ok((cloud.in_unit(unit)?, dropped))
+}
+
+fn parse_unchecked(
+    bytes: &[u8],
+    unit: Unit,
+    non_finite: NonFinite,
+) -> Result<UncheckedCloud, CloudError> {
     if bytes.is_empty() {
         return Err(CloudError::EmptyFile);
     }
@@ -237,10 +318,14 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
     }
     let bytes = word::without_mark(bytes);
     let cloud = if bytes.starts_with(b"ply") {
-        let table = ply::read(bytes, Want::Extras)?;
-        Cloud {
-            // The PLY reader has already refused non-finite vertices by index and line.
-            points: FinitePoints(table.points),
+        // The PLY reader refuses points that are not finite by index and line.
+        let want = match non_finite {
+            NonFinite::Refuse => Want::Extras,
+            NonFinite::Drop => Want::ExtrasAndNonFinite,
+        };
+        let table = ply::read(bytes, want)?;
+        UncheckedCloud {
+            points: table.points,
             coordinate: table.coordinate,
             extras: table.extras,
         }
@@ -249,11 +334,13 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
             return Err(CloudError::ArrayUnit { unit });
         }
         arrays::parse(bytes)?
-    } else if stl::is_binary(bytes) {
+    } else if let Some(cloud) = pcd::parse(bytes) {
+        cloud?
+    } else if stl::is_binary(bytes) || stl_irregular::read(bytes).is_some() {
         return Err(CloudError::Mesh);
     } else {
-        Cloud {
-            points: FinitePoints(text::parse(bytes)?),
+        UncheckedCloud {
+            points: text::parse(bytes, non_finite)?,
             coordinate: Scalar::F64,
             extras: Vec::new(),
         }
@@ -261,7 +348,7 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
     if cloud.points.is_empty() {
         return Err(CloudError::NoPoints);
     }
-    cloud.in_unit(unit)
+    Ok(cloud)
 }
 
 /// Properties that state the standard uncertainty of a point, in the unit of the cloud: `decode` writes the first, `scan --cloud` the
@@ -402,5 +489,92 @@ impl Cloud {
             ..PointFile::from_points(&self.points)
         };
         file.write(format, out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Twelve points of which the second, the third and the last have a coordinate that is not finite, with their numbers as a property.
+    fn holed_points() -> Vec<[f64; 3]> {
+        let mut points: Vec<[f64; 3]> = (0..12).map(|i| [f64::from(i), 0.5, 20.0]).collect();
+        points[1] = [f64::NAN; 3];
+        points[2][2] = f64::INFINITY;
+        points[11][0] = f64::NEG_INFINITY;
+        points
+    }
+
+    /// The points as PLY in text and binary, as text and as arrays.
+    fn files_of(points: &[[f64; 3]]) -> Vec<Vec<u8>> {
+        let number: Vec<f64> = (0..points.len()).map(|i| i as f64).collect();
+        let columns = [Column::Float("number", &number)];
+        let file = PointFile {
+            columns: &columns,
+            ..PointFile::from_points(points)
+        };
+        let mut files: Vec<Vec<u8>> = [Format::Ply, Format::Npz, Format::Xyz]
+            .into_iter()
+            .map(|format| {
+                let mut bytes = Vec::new();
+                file.write(format, &mut bytes).unwrap();
+                bytes
+            })
+            .collect();
+        let mut text = format!(
+            "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+             property float number\nend_header\n",
+            points.len()
+        );
+        for (i, [x, y, z]) in points.iter().enumerate() {
+            text += &format!("{x} {y} {z} {i}\n");
+        }
+        files.push(text.into_bytes());
+        files
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_dropped_with_their_properties_and_counted() {
+        let points = holed_points();
+        let finite: Vec<[f64; 3]> = points
+            .iter()
+            .copied()
+            .filter(|p| p.iter().all(|c| c.is_finite()))
+            .collect();
+        for bytes in files_of(&points) {
+            let (cloud, dropped) = parse_finite(&bytes, Unit::Mm).unwrap();
+            assert_eq!((&cloud.points[..], dropped), (&finite[..], 3));
+            if let Some(number) = cloud.extras.first() {
+                let number: Vec<f64> = number.values().collect();
+                let expected: Vec<f64> = finite.iter().map(|p| p[0]).collect();
+                assert_eq!(number, expected);
+            }
+            assert!(parse(&bytes, Unit::Mm).is_err());
+        }
+        for bytes in files_of(&finite) {
+            let (cloud, dropped) = parse_finite(&bytes, Unit::Mm).unwrap();
+            assert_eq!((cloud, dropped), (parse(&bytes, Unit::Mm).unwrap(), 0));
+        }
+    }
+
+    #[test]
+    fn coordinates_of_a_map_are_refused_with_the_offset() {
+        // Metres of UTM zone 32.
+        let error = parse(b"691603.5 5334784.25 519.0\n", Unit::M).unwrap_err();
+        assert!(matches!(error, CloudError::Far { axis: 'y', .. }));
+        assert!(
+            error.to_string().contains("5335000000 mm from y"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_cloud_without_a_finite_point_is_refused() {
+        for bytes in files_of(&[[f64::NAN, 1.0, 2.0]; 5]) {
+            assert!(matches!(
+                parse_finite(&bytes, Unit::Mm),
+                Err(CloudError::AllNonFinite { points: 5 })
+            ));
+        }
     }
 }

@@ -4,6 +4,7 @@
 //! Europe write it: what it is, is told by the whole file, and where that is open the file is refused.
 
 use super::CloudError;
+use crate::io::NonFinite;
 
 /// Meaning of a comma in this file.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -14,7 +15,7 @@ enum Comma {
 
 /// Points of all lines. Further columns, blank lines and `#` or `//` comments are skipped. A heading names the columns, a count of
 /// points may come first (PTS), and `v` lines of OBJ are points.
-pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
+pub(super) fn parse(bytes: &[u8], non_finite: NonFinite) -> Result<Vec<[f64; 3]>, CloudError> {
     if bytes
         .trim_ascii_start()
         .get(..6)
@@ -67,7 +68,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
     let mut first_index = None;
     for (row, &(line, text)) in lines.iter().enumerate() {
         let fields = fields(text, comma, heading.is_some());
-        let at = |column: usize| fields.get(column).and_then(|word| number(word, comma));
+        let at = |column: usize| {
+            let value = number(fields.get(column)?, comma)?;
+            (value.is_finite() || non_finite == NonFinite::Drop).then_some(value)
+        };
         let [Some(x), Some(y), Some(z)] = columns.map(at) else {
             return Err(CloudError::Line {
                 line,
@@ -87,7 +91,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Vec<[f64; 3]>, CloudError> {
         points
             .iter()
             .flat_map(|p| &p[1..])
-            .any(|c| c.fract() != 0.0)
+            .any(|c| c.is_finite() && c.fract() != 0.0)
     };
     if counts_lines && has_fractions() {
         return Err(CloudError::IndexColumn { columns: width });
@@ -244,11 +248,10 @@ fn unquoted(word: &str) -> &str {
 }
 
 fn number(word: &str, comma: Comma) -> Option<f64> {
-    let value = match comma {
+    match comma {
         Comma::Separator => crate::io::word::number(word),
         Comma::Decimal => crate::io::word::number(&word.replace(',', ".")),
-    };
-    value.filter(|value| value.is_finite())
+    }
 }
 
 /// Meaning of commas by all lines together. A comma within a word of a line that blanks or semicolons divide is a decimal sign;
@@ -294,7 +297,7 @@ mod tests {
     use super::*;
 
     fn points(text: &str) -> Vec<[f64; 3]> {
-        parse(text.as_bytes()).unwrap()
+        parse(text.as_bytes(), NonFinite::Refuse).unwrap()
     }
 
     #[test]
@@ -328,7 +331,7 @@ mod tests {
             ("1,5 2,5 3,5\n1.5, 2.5, 3.5", 2),
             ("1,5 2,5 3,5\n1,2,3,4", 2),
         ] {
-            match parse(text.as_bytes()) {
+            match parse(text.as_bytes(), NonFinite::Refuse) {
                 Err(CloudError::Comma { line: found, .. }) => assert_eq!(found, line, "{text:?}"),
                 other => panic!("{text:?}: {other:?}"),
             }
@@ -385,7 +388,7 @@ mod tests {
             }),
         ];
         for (text, is_expected) in cases {
-            let error = parse(text.as_bytes()).unwrap_err();
+            let error = parse(text.as_bytes(), NonFinite::Refuse).unwrap_err();
             assert!(is_expected(&error), "{text:?}: {error}");
         }
         // A grid in whole numbers.
@@ -400,7 +403,7 @@ mod tests {
             ("1 2 inf", 1),
             ("1,5 2,5 a", 1),
         ] {
-            match parse(text.as_bytes()) {
+            match parse(text.as_bytes(), NonFinite::Refuse) {
                 Err(CloudError::Line { line, .. }) => assert_eq!(line, at, "{text:?}"),
                 other => panic!("{text:?}: {other:?}"),
             }

@@ -41,6 +41,14 @@ pub enum MeshError {
         /// File size.
         have_bytes: u64,
     },
+    /// A binary STL whose triangles are certain, where nothing may be ignored.
+    #[error(
+        "the file does not keep to its format ({irregularity}), which only meshes of --cad may do: export the mesh again"
+    )]
+    StlIrregular {
+        /// Deviation from the format.
+        irregularity: super::StlIrregularity,
+    },
     /// A line of a text format that is wrong.
     #[error("line {line}: {text:?} not understood; right would be {expected}")]
     Line {

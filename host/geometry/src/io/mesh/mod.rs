@@ -5,6 +5,7 @@ mod foreign;
 mod obj;
 mod polygon;
 pub(in crate::io) mod stl;
+pub(in crate::io) mod stl_irregular;
 mod weld;
 
 use std::path::Path;
@@ -13,6 +14,7 @@ use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
 
 pub use error::MeshError;
 pub use stl::write_stl;
+pub use stl_irregular::StlIrregularity;
 pub use weld::weld;
 
 use crate::io::{Unit, ply, word};
@@ -142,15 +144,42 @@ pub fn load(path: &Path, unit: Unit) -> Result<TriMesh, MeshError> {
     parse(&bytes, unit)
 }
 
+/// Loads a mesh file as [`load`] does, and a binary STL with spare bytes or a wrong count, too, which is told.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_tolerant(
+    path: &Path,
+    unit: Unit,
+) -> Result<(TriMesh, Option<StlIrregularity>), MeshError> {
+    let bytes = read_regular(path, MOST_DATA_BYTES).map_err(MeshError::Read)?;
+    parse_tolerant(&bytes, unit)
+}
+
 /// As [`load`], from memory.
 ///
 /// # Errors
 /// As [`load`].
 pub fn parse(bytes: &[u8], unit: Unit) -> Result<TriMesh, MeshError> {
+    match parse_tolerant(bytes, unit)? {
+        (mesh, None) => Ok(mesh),
+        (_, Some(irregularity)) => Err(MeshError::StlIrregular { irregularity }),
+    }
+}
+
+/// Parses a mesh in memory, as [`load_tolerant`].
+///
+/// # Errors
+/// As [`load`].
+pub fn parse_tolerant(
+    bytes: &[u8],
+    unit: Unit,
+) -> Result<(TriMesh, Option<StlIrregularity>), MeshError> {
     if bytes.is_empty() {
         return Err(MeshError::EmptyFile);
     }
     let bytes = word::without_mark(bytes);
+    let mut irregularity = None;
     let mesh = if bytes.starts_with(b"ply") {
         let table = ply::read(bytes, ply::Want::Faces)?;
         TriMesh {
@@ -161,10 +190,13 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<TriMesh, MeshError> {
         stl::parse_binary(bytes)?
     } else if stl::is_text(bytes) {
         stl::parse_ascii(bytes)?
+    } else if let Some(stl) = stl_irregular::read(bytes) {
+        irregularity = Some(stl.irregularity);
+        stl::parse_records(&stl.records)?
     } else if obj::looks_like(bytes) {
         obj::parse(bytes)?
     } else {
         return Err(foreign::explain(bytes));
     };
-    mesh.in_unit(unit)
+    Ok((mesh.in_unit(unit)?, irregularity))
 }

@@ -1,5 +1,7 @@
 //! Wavefront OBJ: `v` and `f` lines; everything else (normals, groups, materials) is skipped.
 
+use std::borrow::Cow;
+
 use super::{MeshError, TriMesh, polygon};
 use crate::io::faces::Faces;
 
@@ -13,14 +15,27 @@ pub(super) fn looks_like(bytes: &[u8]) -> bool {
         })
 }
 
+/// Lines with their number, from 1. A line that ends in a backslash goes on in the next one.
+fn statements(bytes: &[u8]) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
+    let mut lines = (1..).zip(bytes.split(|&b| b == b'\n'));
+    std::iter::from_fn(move || {
+        let (number, line) = lines.next()?;
+        let mut text = String::from_utf8_lossy(line);
+        while let Some(start) = text.trim_ascii_end().strip_suffix('\\') {
+            let next = lines.next().map_or(&[][..], |(_, line)| line);
+            text = Cow::Owned(format!("{start} {}", String::from_utf8_lossy(next)));
+        }
+        Some((number, text))
+    })
+}
+
 pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
     let mut vertices: Vec<[f64; 3]> = Vec::new();
     let mut faces = Faces::default();
     let mut corners = Vec::new();
-    for (number, raw) in bytes.split(|&b| b == b'\n').enumerate() {
-        let text = String::from_utf8_lossy(raw);
+    for (number, text) in statements(bytes) {
         let refuse = |expected| MeshError::Line {
-            line: number + 1,
+            line: number,
             text: text.trim().chars().take(40).collect(),
             expected,
         };
@@ -71,4 +86,23 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
         triangles: polygon::into_triangles(faces, &vertices)?,
         vertices,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statements_go_on_after_a_backslash() {
+        let plain = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 10 10 0\nf 1 2 4 3\n";
+        let continued = "v 0 0 \\\n0\nv 10 \\\r\n 0 \\\r\n0\nv 0 10 0\nv 10 10 0\nf 1 2 \\ \n4 3\n";
+        let expected = parse(plain.as_bytes()).unwrap();
+        assert_eq!(parse(continued.as_bytes()).unwrap(), expected);
+        // An error names the first line of its statement; a backslash at the end of the file ends there.
+        let wrong = "v 0 0 0\nv 1 \\\n 2 \\\n";
+        assert!(matches!(
+            parse(wrong.as_bytes()),
+            Err(MeshError::Line { line: 2, .. })
+        ));
+    }
 }

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::{MeshError, TriMesh, weld};
 
-const HEADER_BYTES: usize = 84;
-const RECORD_BYTES: usize = 50;
+pub(super) const HEADER_BYTES: usize = 84;
+pub(super) const RECORD_BYTES: usize = 50;
 
-fn declared(bytes: &[u8]) -> Option<u32> {
+pub(super) fn declared(bytes: &[u8]) -> Option<u32> {
     let count = bytes.get(80..HEADER_BYTES)?;
     Some(u32::from_le_bytes([count[0], count[1], count[2], count[3]]))
 }
@@ -25,24 +25,28 @@ pub(in crate::io) fn is_binary(bytes: &[u8]) -> bool {
 
 /// Reads a file for which [`is_binary`] holds.
 pub(super) fn parse_binary(bytes: &[u8]) -> Result<TriMesh, MeshError> {
-    let corners: Vec<[[f64; 3]; 3]> = bytes[HEADER_BYTES..]
-        .par_chunks_exact(RECORD_BYTES)
-        .with_min_len(1 << 13)
-        .map(|record| {
-            // Twelve bytes of facet normal come first; the corners' order decides, not the stored normal.
-            let number = |i: usize| {
-                let o = 12 + 4 * i;
-                f64::from(f32::from_le_bytes([
-                    record[o],
-                    record[o + 1],
-                    record[o + 2],
-                    record[o + 3],
-                ]))
-            };
-            std::array::from_fn(|c| std::array::from_fn(|k| number(3 * c + k)))
-        })
-        .collect();
-    join(corners)
+    let records = bytes[HEADER_BYTES..].par_chunks_exact(RECORD_BYTES);
+    join(records.with_min_len(1 << 13).map(facet).collect())
+}
+
+/// Joins the facets of some records.
+pub(super) fn parse_records(records: &[&[u8]]) -> Result<TriMesh, MeshError> {
+    join(records.iter().map(|record| facet(record)).collect())
+}
+
+/// Corners of a record.
+fn facet(record: &[u8]) -> [[f64; 3]; 3] {
+    // Twelve bytes of facet normal come first; the corners' order decides, not the stored normal.
+    let number = |i: usize| {
+        let o = 12 + 4 * i;
+        f64::from(f32::from_le_bytes([
+            record[o],
+            record[o + 1],
+            record[o + 2],
+            record[o + 3],
+        ]))
+    };
+    std::array::from_fn(|c| std::array::from_fn(|k| number(3 * c + k)))
 }
 
 fn join(corners: Vec<[[f64; 3]; 3]>) -> Result<TriMesh, MeshError> {

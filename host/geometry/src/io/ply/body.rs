@@ -13,6 +13,14 @@ pub enum Want {
     Faces,
     /// All further number properties of the vertices.
     Extras,
+    /// Number properties as of [`Want::Extras`], and vertices whose coordinates are not finite, which are refused otherwise.
+    ExtrasAndNonFinite,
+}
+
+impl Want {
+    fn has_extras(self) -> bool {
+        self != Self::Faces
+    }
 }
 
 /// A further number property of the vertices.
@@ -44,13 +52,13 @@ impl Extra {
 /// The content of a PLY file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
-    /// Finite vertex coordinates, in file order.
+    /// Vertex coordinates, in file order; finite unless [`Want::ExtrasAndNonFinite`].
     pub points: Vec<[f64; 3]>,
     /// Type in which the file holds x.
     pub coordinate: Scalar,
     /// Faces, triangles with indices in range; empty unless [`Want::Faces`].
     pub(crate) faces: Faces,
-    /// Further vertex properties; empty unless [`Want::Extras`].
+    /// Further vertex properties; empty if [`Want::Faces`].
     pub extras: Vec<Extra>,
 }
 
@@ -82,7 +90,7 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
         match element.name.as_str() {
             "vertex" if !seen_vertices => {
                 seen_vertices = true;
-                body.vertices(element, want == Want::Extras, &mut table)?;
+                body.vertices(element, want, &mut table)?;
             }
             "face" if !seen_faces && want == Want::Faces && (has_faces || !has_strips) => {
                 seen_faces = true;
@@ -94,7 +102,7 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
             }
             _ => body.skip(element)?,
         }
-        if seen_vertices && (want == Want::Extras || seen_faces) {
+        if seen_vertices && (want.has_extras() || seen_faces) {
             break;
         }
     }
@@ -243,7 +251,7 @@ impl<'a> Body<'a> {
     fn vertices(
         &mut self,
         element: &Element,
-        extras: bool,
+        want: Want,
         table: &mut Table,
     ) -> Result<(), PlyError> {
         let axis = |property: &'static str| {
@@ -262,7 +270,7 @@ impl<'a> Body<'a> {
             table.coordinate = kind;
         }
         if self.encoding != Encoding::Ascii && !element.has_list() {
-            return self.fixed_vertices(element, axes, extras, table);
+            return self.fixed_vertices(element, axes, want, table);
         }
 
         let mut columns: Vec<Option<Extra>> = element
@@ -270,11 +278,13 @@ impl<'a> Body<'a> {
             .iter()
             .enumerate()
             .map(|(i, p)| match p.kind {
-                PropertyKind::Scalar(kind) if extras && !axes.contains(&i) => Some(Extra {
-                    name: p.name.clone(),
-                    kind,
-                    bytes: Vec::new(),
-                }),
+                PropertyKind::Scalar(kind) if want.has_extras() && !axes.contains(&i) => {
+                    Some(Extra {
+                        name: p.name.clone(),
+                        kind,
+                        bytes: Vec::new(),
+                    })
+                }
                 _ => None,
             })
             .collect();
@@ -290,7 +300,7 @@ impl<'a> Body<'a> {
                 if let Some(k) = axes.iter().position(|&a| a == i) {
                     point[k] = value;
                     let place = Place((self.encoding == Encoding::Ascii).then_some(self.line));
-                    check_finite(index, place, k, value)?;
+                    check_finite(want, index, place, k, value)?;
                 } else if let Some(extra) = &mut columns[i] {
                     kind.encode(value, &mut extra.bytes);
                 }
@@ -306,7 +316,7 @@ impl<'a> Body<'a> {
         &mut self,
         element: &Element,
         axes: [usize; 3],
-        extras: bool,
+        want: Want,
         table: &mut Table,
     ) -> Result<(), PlyError> {
         let stride = element.least_record_bytes();
@@ -341,10 +351,10 @@ impl<'a> Body<'a> {
         };
         for (index, point) in table.points.iter().enumerate() {
             for (k, &value) in point.iter().enumerate() {
-                check_finite(index as u64, Place(None), k, value)?;
+                check_finite(want, index as u64, Place(None), k, value)?;
             }
         }
-        if extras {
+        if want.has_extras() {
             for (i, (property, kind, offset)) in fields.into_iter().enumerate() {
                 if axes.contains(&i) {
                     continue;
@@ -483,8 +493,14 @@ impl<'a> Body<'a> {
     }
 }
 
-fn check_finite(index: u64, place: Place, axis: usize, value: f64) -> Result<(), PlyError> {
-    if value.is_finite() {
+fn check_finite(
+    want: Want,
+    index: u64,
+    place: Place,
+    axis: usize,
+    value: f64,
+) -> Result<(), PlyError> {
+    if value.is_finite() || want == Want::ExtrasAndNonFinite {
         return Ok(());
     }
     Err(PlyError::NonFinite {

@@ -77,7 +77,7 @@ impl Scalar {
     }
 
     /// Reads one number from exactly [`Scalar::size`] bytes; every PLY type fits a f64 without loss.
-    pub(super) fn decode(self, bytes: &[u8], big_endian: bool) -> f64 {
+    pub(in crate::io) fn decode(self, bytes: &[u8], big_endian: bool) -> f64 {
         let mut raw = [0u8; 8];
         let size = self.size();
         raw[..size].copy_from_slice(&bytes[..size]);

@@ -67,11 +67,16 @@ pub struct EvaluationSettings {
     pub cumulative_u95_um: Option<f64>,
 }
 
+/// Distance of the usable flank from the base circle, in modules, where the active flank begins within it.
+const LEAST_ABOVE_BASE: f64 = 0.05;
+
 impl EvaluationSettings {
-    /// The active flank, a band of 1 mm, an uncertainty of 5 um.
+    /// The active flank outside the base circle, a band of 1 mm, an uncertainty of 5 um.
     pub fn for_gear(gear: &GearData) -> Self {
+        // The involute of a gear of few teeth begins above three quarters of a module within the pitch circle.
+        let least_mm = gear.base_radius_mm() + LEAST_ABOVE_BASE * gear.module_mm;
         Self {
-            usable_mm: gear.active_flank_mm(),
+            usable_mm: gear.active_flank_mm().map(|radius| radius.max(least_mm)),
             slope_mm: None,
             capture_mm: 0.15 * gear.module_mm,
             band_mm: 1.0,

@@ -73,6 +73,19 @@ pub struct Board {
     pub bright: bool,
 }
 
+impl BoardKind {
+    /// Rule by which the points of a board are counted.
+    fn counting(self) -> &'static str {
+        match self {
+            Self::Checkerboard | Self::Charuco => "inner crossings are counted, not squares",
+            Self::Circles => {
+                "circles are counted along the sides of a square grid, pitch_mm from centre to nearest centre; a staggered (asymmetric) grid is \
+                 not read: print a square one"
+            }
+        }
+    }
+}
+
 impl std::fmt::Display for BoardKind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
@@ -191,9 +204,11 @@ pub enum BoardError {
     },
     /// More than there should be.
     #[error(
-        "{view}: the board has {} x {} points, the board file says {} x {}: inner crossings are counted, not squares", got[0], got[1], expected[0], expected[1]
+        "{view}: the board has {} x {} points, the board file says {} x {}: {}", got[0], got[1], expected[0], expected[1], kind.counting()
     )]
     OtherBoard {
+        /// Kind of the board.
+        kind: BoardKind,
         /// The view.
         view: String,
         /// Seen.
@@ -314,6 +329,7 @@ pub fn find(name: &str, board: &Board, frames: &BoardFrames<'_>) -> Result<Board
     let got = lattice::extent(&labelled);
     if !fits(got, board) {
         return Err(BoardError::OtherBoard {
+            kind: board.kind,
             view: name.to_owned(),
             got,
             expected: board.points,
