@@ -49,10 +49,10 @@ pub(super) struct InMount {
 
 impl Fit {
     pub fn same_mount(&self) -> Option<FoundMount<'_>> {
-        self.in_mount.as_ref().map(|of| FoundMount {
-            recorded: &of.recorded,
-            approaches: of.approaches,
-            drift_mm: of.drift_mm,
+        self.in_mount.as_ref().map(|mount| FoundMount {
+            recorded: &mount.recorded,
+            approaches: mount.approaches,
+            drift_mm: mount.drift_mm,
         })
     }
 }

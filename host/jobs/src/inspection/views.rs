@@ -404,8 +404,8 @@ impl Evaluator {
     /// Lays the points on the CAD: where the baseline's mounting puts them, or else by a fit on the tool's datum.
     fn fit(&self, view: &View<'_>) -> Fit {
         let baseline = self.criteria.baseline.as_ref();
-        let then = baseline.and_then(|baseline| baseline.pose(view.place.tooth)?.mount);
-        let in_mount = then.and_then(|recorded| mount::fit_in(view, recorded));
+        let mount = baseline.and_then(|baseline| baseline.pose(view.place.tooth)?.mount);
+        let in_mount = mount.and_then(|recorded| mount::fit_in(view, recorded));
         in_mount.unwrap_or_else(|| view.fit_on_datum())
     }
 

@@ -390,15 +390,17 @@ impl FlankWear {
             if !main.evidence.is_empty() {
                 let turns = main.evidence.iter();
                 let turns: Vec<Turn> = turns
-                    .map(|of| of.turn(before, forms[0], forms[1]))
+                    .map(|view| view.turn(before, forms[0], forms[1]))
                     .collect();
-                // Of a further view the baseline has no evidence: it shows the flanks that the main view shows, or stands alone.
-                let known = main.evidence.iter().zip(&turns).next();
-                let known = known.filter(|(of, _)| before.is_some() && of.same_mount.is_some());
+                // The baseline has no evidence of a further view: it shows the flanks that the main view shows, or stands alone.
+                let main_turn = main.evidence.iter().zip(&turns).next();
+                let main_turn =
+                    main_turn.filter(|(view, _)| before.is_some() && view.same_mount.is_some());
                 let further = views.iter().skip(1).flat_map(|view| &view.evidence);
-                let further = further.map(|of| {
-                    let beside = known.and_then(|(main, turn)| of.beside(main, turn, forms[1]));
-                    beside.unwrap_or_else(|| of.turn(None, forms[1], forms[1]))
+                let further = further.map(|view| {
+                    let beside =
+                        main_turn.and_then(|(main, turn)| view.beside(main, turn, forms[1]));
+                    beside.unwrap_or_else(|| view.turn(None, forms[1], forms[1]))
                 });
                 let mean = Turn::of_all(turns.iter().copied().chain(further));
                 shift_mm = self.flank.sign() * mean.mean_mm;
@@ -497,7 +499,7 @@ impl FlankWear {
         // In the mounting of the baseline the pose is stated relative to the baseline's.
         let evidence = self.measured.views.iter().flat_map(|view| &view.evidence);
         self.budget.reference_mm = match evidence.clone().next() {
-            Some(_) if evidence.clone().all(|of| of.same_mount.is_some()) => 0.0,
+            Some(_) if evidence.clone().all(|view| view.same_mount.is_some()) => 0.0,
             _ => self.budget.registration_mm,
         };
         self.refigure(Some(reference), before, settings);

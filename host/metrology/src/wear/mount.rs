@@ -55,7 +55,7 @@ pub struct MountPose {
     /// Motion from there that would bring the roots onto the CAD: towards the axis, and tilt over half of the zone's height, mm. None
     /// where too little was seen of them.
     roots_mm: Option<[f64; 2]>,
-    /// The same of the tips.
+    /// Motion that would bring the tips onto the CAD, in the same way.
     tips_mm: Option<[f64; 2]>,
 }
 
@@ -79,7 +79,7 @@ struct Lands {
 }
 
 impl<'a> Seat<'a> {
-    /// Of the view of a tooth.
+    /// Place of the view of a tooth.
     pub fn new(gear: &'a GearData, zone: &Zone, tooth: u32) -> Self {
         let [low, high] = zone.height_mm;
         let angle = gear.tooth_centre_rad(tooth);

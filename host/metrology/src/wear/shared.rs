@@ -72,10 +72,10 @@ pub struct PoseEvidence {
     pub stages_both_mm: f64,
     /// Standard uncertainty of that, mm.
     pub both_sigma_mm: f64,
-    /// How die and head are mounted; none where the lands were not seen well enough.
+    /// Mounting of die and head; none where the lands were not seen well enough.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mount: Option<MountPose>,
-    /// Where the pose would be by the baseline; none where the mounting is another one.
+    /// Pose by the mounting of the baseline; none where the mounting is another one.
     #[serde(skip)]
     pub same_mount: Option<SameMount>,
 }
@@ -274,8 +274,8 @@ impl PoseEvidence {
     pub(super) fn beside(&self, other: &Self, known: &Turn, form_mm: f64) -> Option<Turn> {
         let turned = self.flanks.iter().filter_map(|now| {
             let is_it = |then: &&SeenFlank| (then.tooth, then.flank) == (now.tooth, now.flank);
-            let there = other.flanks.iter().find(is_it)?;
-            let wear_mm = there.median_mm + there.per_turn * known.mean_mm;
+            let shown = other.flanks.iter().find(is_it)?;
+            let wear_mm = shown.median_mm + shown.per_turn * known.mean_mm;
             Some((wear_mm - now.median_mm) / now.per_turn)
         });
         let mut turned: Vec<f64> = turned.collect();

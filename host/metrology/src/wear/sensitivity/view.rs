@@ -53,7 +53,7 @@ pub struct FittedView<'a> {
 /// A mounting that was found to be the baseline's.
 #[derive(Clone, Copy)]
 pub struct FoundMount<'a> {
-    /// As the baseline recorded it.
+    /// Mounting that the baseline recorded.
     pub recorded: &'a MountPose,
     /// Covariance of both approaches of the stages, theirs and now, about the tool's origin.
     pub approaches: Matrix6<f64>,
@@ -273,16 +273,16 @@ impl FittedView<'_> {
             (None, None) => Vector6::zeros(),
         };
         let across = across.normalize();
-        let same_mount = self.same_mount.as_ref().map(|of| {
-            let back = to(of
+        let same_mount = self.same_mount.as_ref().map(|mount| {
+            let back = to(mount
                 .recorded
                 .expected(&self.stages.tool_from_cloud)
                 .isometry());
             let along: f64 = (0..3).map(|k| difference[3 + k] * across[k]).sum();
-            let approaches = difference.dot(&(about(centre, &of.approaches) * difference));
+            let approaches = difference.dot(&(about(centre, &mount.approaches) * difference));
             SameMount {
                 turned_mm: difference.dot(&back),
-                sigma_mm: approaches.max(0.0).sqrt().hypot(along * of.drift_mm),
+                sigma_mm: approaches.max(0.0).sqrt().hypot(along * mount.drift_mm),
                 both_mm: both.dot(&back),
             }
         });
