@@ -422,11 +422,13 @@ fn frames_that_are_not_the_recorded_ones_or_in_another_order_are_never_go() {
         bytes.truncate(bytes.len() / 2);
         bytes
     };
-    let stretch = |bytes: Vec<u8>| {
-        let text = "P5\n640 480\n4095\n".len();
-        let counts = bytes[text..].as_chunks::<2>().0.iter();
-        let stretched = counts.flat_map(|&dn| (16 * u16::from_be_bytes(dn)).to_be_bytes());
-        bytes[..text].iter().copied().chain(stretched).collect()
+    let stretched_below = |header: &'static str| {
+        move |bytes: Vec<u8>| {
+            let counts = bytes["P5\n640 480\n4095\n".len()..].as_chunks::<2>().0;
+            let counts = counts.iter().map(|&dn| 16 * u16::from_be_bytes(dn));
+            let counts = counts.flat_map(u16::to_be_bytes);
+            header.bytes().chain(counts).collect()
+        }
     };
     copy().rewrite(9, cut).is(2, &["is not what was recorded"]);
     copy().swap(9, 10).is(2, &["is not what was recorded"]);
@@ -435,8 +437,11 @@ fn frames_that_are_not_the_recorded_ones_or_in_another_order_are_never_go() {
         .rewrite(9, cut)
         .is(2, &["ends before its last pixel"]);
     foreign()
-        .rewrite(9, stretch)
+        .rewrite(9, stretched_below("P5\n640 480\n65535\n"))
         .is(2, &["the sensor ends at 4095"]);
+    foreign()
+        .rewrite(9, stretched_below("P5\n640 480\n4095\n"))
+        .is(2, &["above the largest value of its header"]);
     let again = foreign();
     std::fs::copy(again.frame(9), again.frame(10)).unwrap();
     again.is(2, &["frame-0010.pgm is ", "frame-0009.pgm again"]);
