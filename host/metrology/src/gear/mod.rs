@@ -358,22 +358,25 @@ impl GearData {
     /// The land on whose middle half a point lies, as far as its radius and angle tell: there, neither a worn flank nor a rounding
     /// beside the land changes it.
     pub fn middle_of_land(&self, [x, y, _]: [f64; 3]) -> Option<Land> {
-        let (radius, angle) = (x.hypot(y), y.atan2(x));
+        let radius = x.hypot(y);
         let outside = |of_land: f64, other: f64| {
             (radius - of_land) * (of_land - other).signum() >= -LAND_DEPTH_MODULES * self.module_mm
         };
-        let off = wrapped(angle - self.tooth_centre_rad(self.tooth_at(angle)));
-        let half_tooth = |at: f64| self.half_tooth_rad(at.max(self.base_radius_mm()));
         let (tip, root) = (self.tip_radius_mm, self.root_radius_mm);
-        if outside(tip, root) {
-            (off.abs() <= 0.5 * half_tooth(tip)?).then_some(Land::Tip)
-        } else if outside(root, tip) {
-            let half_pitch = 0.5 * self.pitch_rad();
-            let half_space = half_pitch - half_tooth(root)?;
-            (half_pitch - off.abs() <= 0.5 * half_space).then_some(Land::Root)
-        } else {
-            None
-        }
+        let (land, at) = match (outside(tip, root), outside(root, tip)) {
+            (true, _) => (Land::Tip, tip),
+            (_, true) => (Land::Root, root),
+            (false, false) => return None,
+        };
+        let angle = y.atan2(x);
+        let off = wrapped(angle - self.tooth_centre_rad(self.tooth_at(angle))).abs();
+        let half_tooth = self.half_tooth_rad(at.max(self.base_radius_mm()))?;
+        let half_pitch = 0.5 * self.pitch_rad();
+        let is_in_middle = match land {
+            Land::Tip => off <= 0.5 * half_tooth,
+            Land::Root => half_pitch - off <= 0.5 * (half_pitch - half_tooth),
+        };
+        is_in_middle.then_some(land)
     }
 
     /// Area of the toothing without end faces, mm²: lands and involutes; the root's rounding is not in the data.

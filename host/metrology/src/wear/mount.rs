@@ -67,6 +67,15 @@ pub struct Seat<'a> {
     half_height_mm: f64,
 }
 
+/// Point on a land.
+struct LandPoint {
+    /// Change of its distance by a shift towards the axis and by a tilt over half of the height, mm per mm.
+    row: Vector2<f64>,
+    /// Signed distance, mm.
+    off_mm: f64,
+    is_above: bool,
+}
+
 /// Tips or roots of a view.
 #[derive(Debug, Clone, Copy)]
 struct Lands {
@@ -112,51 +121,62 @@ impl<'a> Seat<'a> {
         Translation3::from(self.towards_axis() * mm[0]) * about
     }
 
-    /// Robust fit of all tips or roots; none with too few points below or above the middle of the zone.
-    fn lands(&self, land: Land, closest: &[Closest]) -> Option<Lands> {
+    /// Robust fit of all roots, and of all tips; none with too few points below or above the middle of the zone.
+    fn roots_and_tips(&self, closest: &[Closest]) -> [Option<Lands>; 2] {
         let towards_axis = self.towards_axis();
         let across = Vector3::z().cross(&towards_axis) / self.half_height_mm;
-        let of_lands = closest.iter().filter(|at| {
-            let is_on = || self.gear.middle_of_land(at.point) == Some(land);
-            at.signed_distance_mm.is_finite() && at.is_smooth() && is_on()
-        });
-        let rows: Vec<(Vector2<f64>, f64)> = of_lands
-            .clone()
-            .map(|at| {
-                let row = motion_row(at.point, at.normal, self.at_mm);
-                let (turn, shift) = (row.fixed_rows::<3>(0), row.fixed_rows::<3>(3));
-                let row = Vector2::new(shift.dot(&towards_axis), turn.dot(&across));
-                (row, at.signed_distance_mm)
-            })
-            .collect();
-        let above = of_lands.filter(|at| at.point[2] > self.at_mm.z).count();
-        if above.min(rows.len() - above) < LEAST_POINTS {
+        let (mut roots, mut tips) = (Vec::new(), Vec::new());
+        for at in closest {
+            if !(at.signed_distance_mm.is_finite() && at.is_smooth()) {
+                continue;
+            }
+            let points = match self.gear.middle_of_land(at.point) {
+                Some(Land::Root) => &mut roots,
+                Some(Land::Tip) => &mut tips,
+                None => continue,
+            };
+            let row = motion_row(at.point, at.normal, self.at_mm);
+            let (turn, shift) = (row.fixed_rows::<3>(0), row.fixed_rows::<3>(3));
+            points.push(LandPoint {
+                row: Vector2::new(shift.dot(&towards_axis), turn.dot(&across)),
+                off_mm: at.signed_distance_mm,
+                is_above: at.point[2] > self.at_mm.z,
+            });
+        }
+        [roots, tips].map(|points| Lands::of(&points))
+    }
+}
+
+impl Lands {
+    fn of(points: &[LandPoint]) -> Option<Self> {
+        let above = points.iter().filter(|point| point.is_above).count();
+        if above.min(points.len() - above) < LEAST_POINTS {
             return None;
         }
         let mut motion_mm = Vector2::zeros();
         let off =
-            |motion_mm: &Vector2<f64>, (row, mm): &(Vector2<f64>, f64)| mm + row.dot(motion_mm);
+            |motion_mm: &Vector2<f64>, point: &LandPoint| point.off_mm + point.row.dot(motion_mm);
         let mut noise_mm = 0.0;
         for _ in 0..STEPS {
-            let sizes = rows.iter().map(|at| off(&motion_mm, at).abs());
+            let sizes = points.iter().map(|point| off(&motion_mm, point).abs());
             noise_mm = SIGMA_PER_MAD * median_of(sizes)?;
             let (mut squares, mut sum) = (Matrix2::zeros(), Vector2::zeros());
-            for at in &rows {
-                let off_mm = off(&motion_mm, at);
+            for point in points {
+                let off_mm = off(&motion_mm, point);
                 let x = off_mm / (3.0 * noise_mm.max(f64::MIN_POSITIVE));
                 let weight = (-0.5 * x * x).exp();
-                squares += weight * at.0 * at.0.transpose();
-                sum += weight * off_mm * at.0;
+                squares += weight * point.row * point.row.transpose();
+                sum += weight * off_mm * point.row;
             }
             motion_mm -= squares.try_inverse()? * sum;
         }
-        let within = rows
+        let within = points
             .iter()
-            .map(|at| off(&motion_mm, at))
+            .map(|point| off(&motion_mm, point))
             .filter(|mm| mm.abs() <= 3.0 * noise_mm);
         let inliers = within.clone().count();
         let squares: f64 = within.map(|mm| mm * mm).sum();
-        motion_mm.iter().all(|mm| mm.is_finite()).then(|| Lands {
+        motion_mm.iter().all(|mm| mm.is_finite()).then(|| Self {
             motion_mm,
             inliers,
             rms_mm: (squares / inliers.max(1) as f64).sqrt(),
@@ -174,8 +194,8 @@ impl MountPose {
         pose: &Rigid<Tool, Cloud>,
         closest: &[Closest],
     ) -> Option<Self> {
-        let motion_mm = |land| Some(seat.lands(land, closest)?.motion_mm.into());
-        let (roots_mm, tips_mm) = (motion_mm(Land::Root), motion_mm(Land::Tip));
+        let lands = seat.roots_and_tips(closest);
+        let [roots_mm, tips_mm] = lands.map(|lands| Some(lands?.motion_mm.into()));
         (roots_mm.is_some() || tips_mm.is_some()).then(|| Self {
             from_stages: Motion::between(stages.isometry(), pose.isometry()),
             roots_mm,
@@ -198,16 +218,16 @@ impl MountPose {
         closest: &[Closest],
         form_mm: f64,
     ) -> Option<(Registration, Prior)> {
-        let of_land = |land, then_mm: Option<[f64; 2]>| {
-            let then_mm = Vector2::from(then_mm?);
-            let lands = seat.lands(land, closest)?;
-            let moved_mm = lands.motion_mm - then_mm;
+        let unmoved = |(lands, then_mm): (Option<Lands>, Option<[f64; 2]>)| {
+            let lands = lands?;
+            let moved_mm = lands.motion_mm - Vector2::from(then_mm?);
             let is_same = moved_mm.iter().all(|mm| mm.abs() <= SAME_MOUNT * form_mm);
             is_same.then_some((lands, moved_mm))
         };
         // Tips wear before roots do.
-        let found = of_land(Land::Root, self.roots_mm);
-        let (lands, moved_mm) = found.or_else(|| of_land(Land::Tip, self.tips_mm))?;
+        let then = [self.roots_mm, self.tips_mm];
+        let mut lands = seat.roots_and_tips(closest).into_iter().zip(then);
+        let (lands, moved_mm) = lands.find_map(unmoved)?;
         let expected = self.expected(stages);
         let pose = Rigid::from_isometry(seat.motion(moved_mm) * expected.isometry());
         let (along, up) = (seat.towards_axis(), Vector3::z());
