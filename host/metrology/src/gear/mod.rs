@@ -186,14 +186,6 @@ impl GearData {
             -360.0,
             360.0,
         )?;
-        // No flank may lie beyond it: points there do not count as toothing.
-        let [_, flank_end_mm] = self.active_flank_mm();
-        within(
-            "radial_threshold_mm",
-            self.radial_threshold_mm,
-            flank_end_mm.max(0.1),
-            5000.0,
-        )?;
         within("height_mm[0]", self.height_mm[0], -5000.0, 5000.0)?;
         within("height_mm[1]", self.height_mm[1], self.height_mm[0], 5000.0)?;
         let (tip_mm, pitch_mm, root_mm) = (
@@ -219,7 +211,14 @@ impl GearData {
                 order,
             });
         }
-        Ok(())
+        // No flank may lie beyond it: points there do not count as toothing.
+        let [_, flank_end_mm] = self.active_flank_mm();
+        within(
+            "radial_threshold_mm",
+            self.radial_threshold_mm,
+            flank_end_mm.max(0.1),
+            5000.0,
+        )
     }
 
     /// Whether a place lies in the toothing: between tip and root circle, and more than 0.1 mm within its ends.
