@@ -2,7 +2,6 @@
 
 use flankscope_metrology::registration::{Options, Prior, Registration, register};
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::wear::MountPose;
 use flankscope_metrology::wear::sensitivity::FoundMount;
 use nalgebra::Matrix6;
 use rayon::prelude::*;
@@ -32,29 +31,8 @@ pub(super) struct Fit {
     /// Expected pose with its covariance that the fit was given.
     pub prior: Prior,
     pub options: Options,
-    /// Expected pose with its covariance, from the stages.
-    pub stages: Prior,
     /// The baseline's mounting, where the pose rests on it.
-    pub in_mount: Option<InMount>,
-}
-
-/// Mounting that a pose rests on.
-pub(super) struct InMount {
-    pub recorded: MountPose,
-    /// Covariance of the approaches of baseline and check, about the tool's origin.
-    pub approaches: Matrix6<f64>,
-    /// Standard uncertainty of the mounting's drift along the circumference, mm.
-    pub drift_mm: f64,
-}
-
-impl Fit {
-    pub fn same_mount(&self) -> Option<FoundMount<'_>> {
-        self.in_mount.as_ref().map(|mount| FoundMount {
-            recorded: &mount.recorded,
-            approaches: mount.approaches,
-            drift_mm: mount.drift_mm,
-        })
-    }
+    pub same_mount: Option<FoundMount>,
 }
 
 impl View<'_> {
@@ -80,8 +58,7 @@ impl View<'_> {
             used,
             prior: prior.clone(),
             options,
-            stages: prior.clone(),
-            in_mount: None,
+            same_mount: None,
         }
     }
 }

@@ -3,9 +3,10 @@
 use flankscope_metrology::registration::Options;
 use flankscope_metrology::wear::MountPose;
 use flankscope_metrology::wear::mount::Seat;
+use flankscope_metrology::wear::sensitivity::FoundMount;
 use rayon::prelude::*;
 
-use super::fit::{Fit, InMount, View};
+use super::fit::{Fit, View};
 
 /// Place of a view whose mounting can be compared; none on tools without a toothing, on those with a datum of their own, and
 /// where no stage states the pose.
@@ -23,10 +24,8 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
     let expected = recorded.expected(stages);
     let located = view.points.par_iter().map(|&point| expected.apply(point));
     let located: Vec<[f64; 3]> = located.collect();
-    let used: Vec<bool> = located
-        .iter()
-        .map(|&point| seat.is_on_land(point))
-        .collect();
+    let used = located.par_iter().map(|&point| seat.is_on_land(point));
+    let used: Vec<bool> = used.collect();
     let lands = located.iter().zip(&used).filter(|(_, used)| **used);
     let lands: Vec<[f64; 3]> = lands.map(|(point, _)| *point).collect();
     let closest = view.place.surface.closest_many(&lands);
@@ -40,8 +39,7 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
         registration,
         used,
         prior,
-        stages: view.stages.clone(),
-        in_mount: Some(InMount {
+        same_mount: Some(FoundMount {
             recorded,
             approaches: 2.0 * view.approach,
             drift_mm: view.form_mm,

@@ -289,7 +289,7 @@ impl Evaluator {
         };
         let assess = || match (&fit.registration.status, &self.scale) {
             (_, Err(reason)) => self.not_assessed(place, reason),
-            (Status::Registered, Ok(_)) => self.assess(place, &fit, measured, &places),
+            (Status::Registered, Ok(_)) => self.assess(&view, &fit, measured, &places),
             (Status::Indeterminate(reason), Ok(_)) => {
                 self.not_assessed(place, &Reason::Registration(reason.clone()))
             }
@@ -412,12 +412,12 @@ impl Evaluator {
     /// Wear and decision of both flanks of the middle tooth, and wear of its neighbours in view.
     fn assess(
         &self,
-        place: &Place,
+        view: &View<'_>,
         fit: &Fit,
         measured: Measured<'_>,
         places: &[Option<FlankPlace>],
     ) -> Assessed {
-        let (features, settings) = (self.features(), &self.criteria.settings);
+        let (place, features, settings) = (view.place, self.features(), &self.criteria.settings);
         if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, places) {
             return self.not_assessed(place, &why);
         }
@@ -426,9 +426,9 @@ impl Evaluator {
             zone: &place.zone,
             registration: &fit.registration,
             prior: &fit.prior,
-            stages: &fit.stages,
-            approach: place.approach(&self.stages),
-            same_mount: fit.same_mount(),
+            stages: &view.stages,
+            approach: view.approach,
+            same_mount: fit.same_mount,
             options: &fit.options,
             closest: measured.closest,
             used: &fit.used,

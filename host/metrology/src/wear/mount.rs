@@ -6,7 +6,7 @@
 //! Tips and roots are compared each for themselves, since a die is not built as drawn, and its tips may wear. Lands determine the distance from the axis and the tilt along the height. A rotation about the axis they do not show, nor a tilt
 //! about the line of sight: what the approaches of the stages add to the first is part of the view's evidence.
 
-use flankscope_foundation::order::median_of;
+use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use nalgebra::{
     Isometry3, Matrix2, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector2, Vector3,
@@ -25,8 +25,6 @@ const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
 const KEPT: f64 = 1e-6;
 /// Steps of the robust fit.
 const STEPS: usize = 10;
-/// Standard deviations of a normal error per median of its size.
-const SIGMA_PER_MAD: f64 = 1.4826;
 
 /// A rigid motion in tool coordinates: rotation vector (rad), then translation (mm).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -121,7 +119,7 @@ impl<'a> Seat<'a> {
         Translation3::from(self.towards_axis() * mm[0]) * about
     }
 
-    /// Robust fit of all roots, and of all tips; none with too few points below or above the middle of the zone.
+    /// All roots, and all tips.
     fn roots_and_tips(&self, closest: &[Closest]) -> [Option<Lands>; 2] {
         let towards_axis = self.towards_axis();
         let across = Vector3::z().cross(&towards_axis) / self.half_height_mm;
@@ -143,12 +141,13 @@ impl<'a> Seat<'a> {
                 is_above: at.point[2] > self.at_mm.z,
             });
         }
-        [roots, tips].map(|points| Lands::of(&points))
+        [roots, tips].map(|points| Lands::fit(&points))
     }
 }
 
 impl Lands {
-    fn of(points: &[LandPoint]) -> Option<Self> {
+    /// Robust fit; none with too few points below or above the middle of the zone.
+    fn fit(points: &[LandPoint]) -> Option<Self> {
         let above = points.iter().filter(|point| point.is_above).count();
         if above.min(points.len() - above) < LEAST_POINTS {
             return None;
@@ -218,15 +217,15 @@ impl MountPose {
         closest: &[Closest],
         form_mm: f64,
     ) -> Option<(Registration, Prior)> {
-        let unmoved = |(lands, then_mm): (Option<Lands>, Option<[f64; 2]>)| {
+        let unmoved = |(lands, recorded_mm): (Option<Lands>, Option<[f64; 2]>)| {
             let lands = lands?;
-            let moved_mm = lands.motion_mm - Vector2::from(then_mm?);
+            let moved_mm = lands.motion_mm - Vector2::from(recorded_mm?);
             let is_same = moved_mm.iter().all(|mm| mm.abs() <= SAME_MOUNT * form_mm);
             is_same.then_some((lands, moved_mm))
         };
         // Tips wear before roots do.
-        let then = [self.roots_mm, self.tips_mm];
-        let mut lands = seat.roots_and_tips(closest).into_iter().zip(then);
+        let recorded_mm = [self.roots_mm, self.tips_mm];
+        let mut lands = seat.roots_and_tips(closest).into_iter().zip(recorded_mm);
         let (lands, moved_mm) = lands.find_map(unmoved)?;
         let expected = self.expected(stages);
         let pose = Rigid::from_isometry(seat.motion(moved_mm) * expected.isometry());

@@ -206,6 +206,12 @@ const TURNED: f64 = 0.005;
 const LEAST_FORM_MM: f64 = 0.5e-3;
 
 impl PoseEvidence {
+    /// The same flank in this view.
+    fn seen(&self, flank: &SeenFlank) -> Option<&SeenFlank> {
+        let is_it = |seen: &&SeenFlank| (seen.tooth, seen.flank) == (flank.tooth, flank.flank);
+        self.flanks.iter().find(is_it)
+    }
+
     /// The flanks with their wear since `before`, of those that both saw.
     fn since(&self, before: Option<&Self>) -> Vec<SeenFlank> {
         let Some(before) = before else {
@@ -214,10 +220,7 @@ impl PoseEvidence {
         self.flanks
             .iter()
             .filter_map(|now| {
-                let then = before
-                    .flanks
-                    .iter()
-                    .find(|then| (then.tooth, then.flank) == (now.tooth, now.flank))?;
+                let then = before.seen(now)?;
                 Some(SeenFlank {
                     median_mm: now.median_mm - then.median_mm,
                     ..*now
@@ -289,8 +292,7 @@ impl PoseEvidence {
     /// the field and known to `form_mm` (standard uncertainty). None where both views have no flank in common.
     pub(super) fn beside(&self, other: &Self, known: &Turn, form_mm: f64) -> Option<Turn> {
         let turned = self.flanks.iter().filter_map(|now| {
-            let is_it = |then: &&SeenFlank| (then.tooth, then.flank) == (now.tooth, now.flank);
-            let shown = other.flanks.iter().find(is_it)?;
+            let shown = other.seen(now)?;
             let wear_mm = shown.median_mm + shown.per_turn * known.mean_mm;
             Some((wear_mm - now.median_mm) / now.per_turn)
         });
@@ -555,7 +557,7 @@ mod tests {
                 assert!(off_mm < COVERAGE_95 * turn.u_mm, "{turned_mm}: {turn:?}");
             }
         }
-        // Wear of both sides, of one, and none is no turn.
+        // A die that did not turn, worn on both sides, on one or not at all.
         for worn_mm in [[0.04, 0.04], [0.06, 0.02], [0.02, 0.0], [0.0, 0.0]] {
             let turn = in_mount(Some(SAME), worn_mm);
             assert!(

@@ -319,8 +319,8 @@ impl<R: BufRead + Seek> Opened<R> {
         // Some programs write the largest count of the image there; that of a camera is 2^n - 1.
         let largest = reader.find_tag_unsigned::<u32>(Tag::MaxSampleValue);
         let largest = largest.map_err(&broken)?.unwrap_or(0);
-        let is_of_camera =
-            (largest + 1).is_power_of_two() && (1 << 8..(1 << bits) - 1).contains(&largest);
+        let ends_a_number = |largest: u32| largest.checked_add(1).is_some_and(u32::is_power_of_two);
+        let is_of_camera = ends_a_number(largest) && (1 << 8..(1 << bits) - 1).contains(&largest);
         let header = ImageHeader {
             width,
             height,
@@ -626,7 +626,12 @@ mod tests {
             assert_eq!((image.bits, image.pixels), (bits, expected));
             assert_eq!(image.stated_largest_dn, None);
         }
-        for (largest, expected) in [(4095, Some(4095)), (65_535, None), (3017, None)] {
+        for (largest, expected) in [
+            (4095, Some(4095)),
+            (65_535, None),
+            (3017, None),
+            (u32::MAX, None),
+        ] {
             let path = file(
                 folder.path(),
                 "a.tif",

@@ -27,8 +27,8 @@ fn header(bytes: &[u8]) -> Option<Header<'_>> {
     let mut lines = Vec::new();
     let mut at = 0;
     loop {
-        let rest = bytes[at..bytes.len().min(MOST_HEADER_BYTES)].iter();
-        let end = at + rest.clone().position(|&byte| byte == b'\n')?;
+        let unread = &bytes[at..bytes.len().min(MOST_HEADER_BYTES)];
+        let end = at + unread.iter().position(|&byte| byte == b'\n')?;
         let line = std::str::from_utf8(&bytes[at..end]).ok()?.trim();
         at = end + 1;
         if line.is_empty() || line.starts_with('#') {

@@ -126,18 +126,18 @@ fn solids(bytes: &[u8]) -> Option<IrregularStl<'_>> {
 }
 
 fn with_payload(bytes: &[u8], declared: u32) -> Option<IrregularStl<'_>> {
-    let mut rest = &bytes[HEADER_BYTES..];
+    let mut remaining = &bytes[HEADER_BYTES..];
     let mut records = Vec::new();
     let mut payload = 0;
     for _ in 0..declared {
-        let (record, after) = rest.split_at_checked(RECORD_BYTES)?;
+        let (record, after) = remaining.split_at_checked(RECORD_BYTES)?;
         let attribute = usize::from(u16::from_le_bytes([record[48], record[49]]));
-        rest = after.get(attribute..)?;
+        remaining = after.get(attribute..)?;
         records.push(record);
         payload += attribute;
     }
     let triangles = records.len();
-    rest.is_empty().then_some(IrregularStl {
+    remaining.is_empty().then_some(IrregularStl {
         records,
         irregularity: StlIrregularity::Payload {
             triangles,

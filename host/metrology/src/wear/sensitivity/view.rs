@@ -33,7 +33,7 @@ pub struct FittedView<'a> {
     /// The part of the prior's covariance that is drawn anew with every approach of the stages.
     pub approach: Matrix6<f64>,
     /// The mounting of the baseline, where it is the same.
-    pub same_mount: Option<FoundMount<'a>>,
+    pub same_mount: Option<FoundMount>,
     /// Settings of the fit.
     pub options: &'a Options,
     /// Nearest surface point of every point.
@@ -52,9 +52,9 @@ pub struct FittedView<'a> {
 
 /// A mounting that was found to be the baseline's.
 #[derive(Clone, Copy)]
-pub struct FoundMount<'a> {
+pub struct FoundMount {
     /// Mounting that the baseline recorded.
-    pub recorded: &'a MountPose,
+    pub recorded: MountPose,
     /// Covariance of both approaches of the stages, theirs and now, about the tool's origin.
     pub approaches: Matrix6<f64>,
     /// Standard uncertainty of the mounting's drift along the circumference, which no land shows, mm.
