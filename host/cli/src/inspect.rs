@@ -4,9 +4,12 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use flankscope_foundation::display::plain;
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
+use flankscope_instrument::settings::Stages;
 use flankscope_jobs::job::recording_id;
 use flankscope_metrology::verdict::Word;
+use flankscope_metrology::wear::Approaches;
 use flankscope_record::document::{Feature, FeatureId, FlankInView, Inspection};
 use flankscope_record::origin::{Link, Origin};
 use flankscope_record::sink::ResultSink;
@@ -54,6 +57,9 @@ pub struct Args {
     /// Write this check of a new tool as the baseline for later checks; nothing is written unless it is go
     #[arg(long, value_name = "FILE")]
     record_baseline: Option<PathBuf>,
+    /// Of a baseline: leave each view and approach it anew until it was approached so often, to measure how well the stages repeat
+    #[arg(long, value_name = "N", default_value_t = 5, requires = "record_baseline", conflicts_with = "frames", value_parser = clap::value_parser!(u32).range(1..=100))]
+    approaches: u32,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -107,12 +113,32 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         let recorded = inspection
             .baseline()
             .and_then(|baseline| baseline.save(path, &seals));
-        complaints.hear(recorded.map_err(Into::into));
+        if complaints.hear(recorded.map_err(Into::into)).is_some() && !quiet {
+            say(&repeatability(inspection.approaches, &site.settings.stages));
+        }
     }
     if interrupt::is_requested() {
         say(&what_is_kept(&inspection));
     }
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
+}
+
+/// What a baseline knows of the rotary stage's repeatability.
+fn repeatability(measured: Option<Approaches>, stages: &Stages) -> String {
+    let Some(measured) = measured else {
+        return "one approach of each view: how well the stages repeat was not measured (--approaches)".into();
+    };
+    let within = 1e3 * (COVERAGE_95 * measured.rotation_u_rad()).to_degrees();
+    let found = format!(
+        "{} approaches of each view: the rotary stage repeats within {within:.2} mdeg (95 %)",
+        measured.count
+    );
+    match stages.rotation_repeatability_mdeg {
+        Some(stated) if measured.exceeds(stages.approach_sigma().0) => format!(
+            "{found}; its station file states {stated} mdeg: it repeats worse than stated, and the measured value counts"
+        ),
+        _ => found,
+    }
 }
 
 /// What is kept of an interrupted check.
@@ -127,6 +153,14 @@ fn what_is_kept(inspection: &Inspection) -> String {
 }
 
 impl Args {
+    /// Approaches of each view; a head that something else than the stages moves is not sent back.
+    fn approaches_of(&self, site: &Site) -> u32 {
+        match self.record_baseline.is_some() && !site.settings.stages.poses.is_some() {
+            true => self.approaches,
+            false => 1,
+        }
+    }
+
     fn check_live(
         &self,
         site: &Site,
@@ -145,6 +179,7 @@ impl Args {
         let inspection = instrument.job.inspect(
             &instrument.port,
             instrument.settings.clone(),
+            self.approaches_of(site),
             &mut writer,
             |progress| watcher.show(progress),
         )?;

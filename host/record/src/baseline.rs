@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::Word;
-use flankscope_metrology::wear::{Field, FlankWear, PoseEvidence};
+use flankscope_metrology::wear::{Approaches, Field, FlankWear, PoseEvidence};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -47,6 +47,9 @@ pub struct Baseline {
     pub poses: Vec<PoseEvidence>,
     /// Neighbouring flanks recorded in each view.
     pub in_view: Vec<ViewReference>,
+    /// Repeatability of the rotary stage; none where the views were approached only once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub approaches: Option<Approaches>,
 }
 
 /// One flank's deviation from CAD, cell by cell.

@@ -68,6 +68,9 @@ pub struct DieTable {
     pub turned_deg: f64,
     /// Rotation of the die on the table, in whole teeth.
     pub turned_teeth: i32,
+    /// Standard deviation of the die's shift along each axis since it was put down, and of the rim's by a turn about each axis, µm.
+    #[serde(deserialize_with = "spread_um")]
+    pub moved_um: f64,
     /// Another die instead of the tool file's, `TEETHxMODULE_MM`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub other: Option<Given<OtherDie>>,
@@ -86,6 +89,7 @@ impl Default for DieTable {
             flanks_seed: 1,
             turned_deg: 0.0,
             turned_teeth: 0,
+            moved_um: 0.0,
             other: None,
         }
     }
@@ -134,7 +138,7 @@ pub struct MotionTable {
 }
 
 /// Rotary and vertical stage.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StagesTable {
     /// Backlash of the rotary stage, mdeg: the table lags by half of it.
@@ -143,18 +147,12 @@ pub struct StagesTable {
     /// Backlash of the vertical stage, µm.
     #[serde(deserialize_with = "play")]
     pub backlash_um: f64,
-    /// Largest change of the rotary stage's error from run to run, mdeg; the rest of its error repeats. None: all of it changes.
-    #[serde(
-        deserialize_with = "repeatability",
-        skip_serializing_if = "Option::is_none"
-    )]
-    pub rotation_repeatability_mdeg: Option<f64>,
-    /// Largest change of the vertical stage's error from run to run, µm, as for the rotary stage.
-    #[serde(
-        deserialize_with = "repeatability",
-        skip_serializing_if = "Option::is_none"
-    )]
-    pub vertical_repeatability_um: Option<f64>,
+    /// Largest change of the rotary stage's error from approach to approach, mdeg; the rest of its error repeats.
+    #[serde(deserialize_with = "rotation_repeatability")]
+    pub rotation_repeatability_mdeg: f64,
+    /// Largest change of the vertical stage's error from approach to approach, µm.
+    #[serde(deserialize_with = "vertical_repeatability")]
+    pub vertical_repeatability_um: f64,
     /// Saw-tooth error of the rotary encoder, `TEETH:MDEG`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_saw: Option<Given<EncoderSaw>>,
@@ -164,6 +162,21 @@ pub struct StagesTable {
     /// File with the camera's true pose if an arm carries the head (`stages.moves = "outside"`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arm: Option<PathBuf>,
+}
+
+impl Default for StagesTable {
+    /// Without play; the little that a good stage does not repeat.
+    fn default() -> Self {
+        Self {
+            backlash_mdeg: 0.0,
+            backlash_um: 0.0,
+            rotation_repeatability_mdeg: 2.0,
+            vertical_repeatability_um: 1.0,
+            encoder_saw: None,
+            trouble: None,
+            arm: None,
+        }
+    }
 }
 
 /// Optics of the head.
@@ -362,9 +375,12 @@ fn play<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     within(from, 0.0, 1000.0)
 }
 
-/// Within the error of either stage: 15 mdeg, 5 µm.
-fn repeatability<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    within(from, 0.0, 5.0).map(Some)
+fn rotation_repeatability<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(from, 0.0, 15.0)
+}
+
+fn vertical_repeatability<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(from, 0.0, 5.0)
 }
 
 fn turn_deg<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
@@ -453,8 +469,8 @@ mod tests {
                 StagesTable {
                     backlash_mdeg: _,
                     backlash_um: _,
-                    rotation_repeatability_mdeg,
-                    vertical_repeatability_um,
+                    rotation_repeatability_mdeg: _,
+                    vertical_repeatability_um: _,
                     encoder_saw,
                     trouble,
                     arm,
@@ -468,7 +484,6 @@ mod tests {
         } = full;
         assert!(die.other.is_some());
         assert!(sprayed_above_mm.is_some() && bounces.is_some());
-        assert!(rotation_repeatability_mdeg.is_some() && vertical_repeatability_um.is_some());
         assert!(encoder_saw.is_some() && trouble.is_some() && arm.is_some());
         assert!(frame_fault.is_some() && gige_trouble.is_some());
     }
@@ -489,7 +504,7 @@ mod tests {
             ("stages", "encoder_saw = \"84:NaN\"", "84:8"),
             ("stages", "trouble = \"lazy\"", "other-model"),
             ("stages", "backlash_um = -1", "from 0 to 1000"),
-            ("stages", "rotation_repeatability_mdeg = 6", "from 0 to 5"),
+            ("stages", "rotation_repeatability_mdeg = 16", "from 0 to 15"),
             ("motion", "shiver_um = -1", "from 0 to 1000"),
             ("motion", "vibration_um = nan", "from 0 to 1000"),
             ("press", "open_share = nan", "from 0.1 to 0.9"),

@@ -160,6 +160,7 @@ fn apply(
         flanks_seed,
         turned_deg,
         turned_teeth,
+        moved_um,
         ref other,
     } = bench.file.die;
     config.wear = ageing
@@ -211,6 +212,9 @@ fn apply(
             turned_deg.to_radians() + f64::from(turned_teeth) * config.gear.pitch_angle_rad();
         config.mount.table_from_die *=
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
+    }
+    if moved_um > 0.0 {
+        config.mount.move_die(moved_um, bench.seed);
     }
     config.mount.rotary_carries = asked.rotary_carries;
     let stages = &bench.file.stages;
@@ -341,12 +345,8 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     config.devices.axes.rotation.backlash = 1e-3 * file.stages.backlash_mdeg;
     config.devices.axes.vertical.backlash = 1e-3 * file.stages.backlash_um;
     let axes = &mut config.devices.axes;
-    if let Some(mdeg) = file.stages.rotation_repeatability_mdeg {
-        axes.rotation.repeatability = 1e-3 * mdeg;
-    }
-    if let Some(um) = file.stages.vertical_repeatability_um {
-        axes.vertical.repeatability = 1e-3 * um;
-    }
+    axes.rotation.repeatability = 1e-3 * file.stages.rotation_repeatability_mdeg;
+    axes.vertical.repeatability = 1e-3 * file.stages.vertical_repeatability_um;
     if let Some(trouble) = file.stages.trouble {
         trouble.spoil(&mut config.devices.axes);
     }

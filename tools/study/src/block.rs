@@ -280,6 +280,7 @@ impl Block<'_> {
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
             in_view: Vec::new(),
+            approaches: None,
         })
     }
 

@@ -103,6 +103,7 @@ impl Stand {
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
             in_view: Vec::new(),
+            approaches: None,
         };
         let tooth = self.place.tooth;
         let (tool, head) = (&self.tool, &self.head);

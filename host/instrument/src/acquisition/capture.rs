@@ -38,6 +38,15 @@ impl<O: Send + 'static> Acquisition<O> {
         if client.status().await?.homed {
             return Ok(());
         }
+        self.reference(client, watch).await
+    }
+
+    /// References the stages of a controller that is ready for it.
+    pub async fn reference(
+        &self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<(), AcquisitionError> {
         watch(Progress::Homing);
         client.order(&Command::Home).await?;
         let mut interrupt = client.interrupt();

@@ -116,6 +116,10 @@ pub struct Stages {
     pub vertical_repeatability_um: Option<f64>,
     /// Standard uncertainty of the head's mounting position, along each axis, µm.
     pub mount_um: f64,
+    /// Largest motion of head against die since a baseline in the same mounting, by temperature and load, in any direction, µm. None
+    /// where it is not known: then what the lands of the die show stands for what they do not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mount_drift_um: Option<f64>,
     /// Standard uncertainty of the head's tilt, about each axis, mrad.
     pub mount_mrad: f64,
     /// Run-out of the rotary stage, standard deviation in any direction, µm.
@@ -194,6 +198,7 @@ impl Default for Stages {
             rotation_repeatability_mdeg: None,
             vertical_repeatability_um: None,
             mount_um: 10.0,
+            mount_drift_um: None,
             mount_mrad: 0.2,
             runout_um: 0.3,
             wobble_urad: 5.0,
@@ -245,6 +250,11 @@ impl Stages {
             rotation_rad.unwrap_or(self.rotation_sigma_rad()),
             vertical_mm.unwrap_or(self.vertical_sigma_mm()),
         )
+    }
+
+    /// Standard uncertainty of the mounting's position since a baseline, along each axis, mm; none where it is not stated.
+    pub fn mount_drift_mm(&self) -> Option<f64> {
+        self.mount_drift_um.map(|um| um / 1e3 / SQRT_3)
     }
 
     /// Standard uncertainty of the head's mounting: along each axis (mm) and about each axis (rad).
@@ -315,6 +325,7 @@ impl StationSettings {
             (within(stages.rotation_repeatability_mdeg, stages.rotation_error_mdeg), "stages.rotation_repeatability_mdeg", &stages.rotation_repeatability_mdeg, "more than 0 and at most stages.rotation_error_mdeg, or no such line"),
             (within(stages.vertical_repeatability_um, stages.vertical_error_um), "stages.vertical_repeatability_um", &stages.vertical_repeatability_um, "more than 0 and at most stages.vertical_error_um, or no such line"),
             (up_to(stages.mount_um, 1e3), "stages.mount_um", &stages.mount_um, "more than 0 and at most 1000 um"),
+            (within(stages.mount_drift_um, 1e3), "stages.mount_drift_um", &stages.mount_drift_um, "more than 0 and at most 1000 um, or no such line"),
             (up_to(stages.runout_um, 1e3), "stages.runout_um", &stages.runout_um, "more than 0 and at most 1000 um"),
             (up_to(stages.mount_mrad, 100.0), "stages.mount_mrad", &stages.mount_mrad, "more than 0 and at most 100 mrad"),
             (up_to(stages.wobble_urad, 1e4), "stages.wobble_urad", &stages.wobble_urad, "more than 0 and at most 10000 urad"),
@@ -380,6 +391,10 @@ mod tests {
             (
                 "[light]\nled_ma = 0\n",
                 ["station.toml:2: ", "led_ma", "1 to 65535 mA"],
+            ),
+            (
+                "[stages]\nmount_drift_um = -1.0\n",
+                ["station.toml:2: ", "mount_drift_um", "or no such line"],
             ),
             (
                 "[stages]\nrotation_repeatability_mdeg = 16.0\n",

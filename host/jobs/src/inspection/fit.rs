@@ -19,8 +19,12 @@ pub(super) struct View<'a> {
     pub stages: Prior,
     /// The part of that covariance that is drawn anew at every approach.
     pub approach: Matrix6<f64>,
+    /// Number of approaches of the same view by which the baseline knows its mounting.
+    pub approached: f64,
     /// Standard uncertainty of a flank's form since a baseline, mm.
     pub form_mm: f64,
+    /// Standard uncertainty of the mounting's position since a baseline, along each axis, mm; none where it is not stated.
+    pub mount_drift_mm: Option<f64>,
 }
 
 /// A view registered to the CAD.

@@ -108,7 +108,8 @@ impl Job<ViewOutcome> {
         )?)
     }
 
-    /// Runs one check through the controller at `port`; the verdict waits until `store` has it.
+    /// Runs one check through the controller at `port`; the verdict waits until `store` has it. For a baseline each view is left and
+    /// approached so many times in all.
     ///
     /// # Errors
     /// The check could not begin. Errors after that give an indeterminate verdict.
@@ -116,11 +117,13 @@ impl Job<ViewOutcome> {
         &mut self,
         port: &Path,
         settings: ClientSettings,
+        approaches: u32,
         store: &mut impl ResultSink<Inspection>,
         mut watch: impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
         runtime()?.block_on(async {
             let mut client = connect(&self.acquisition, port, settings, &mut watch).await?;
+            self.further_approaches = approaches.saturating_sub(1);
             let source = Source::Live(&mut client);
             self.check(source, None, store, &mut watch).await
         })
@@ -216,6 +219,9 @@ impl Job<ViewOutcome> {
         if let Some(stopped) = captured.await? {
             return Ok(Some(stopped));
         }
+        if let Some(stopped) = self.approach_again(client, run, watch).await? {
+            return Ok(Some(stopped));
+        }
         self.repeat_open_views(client, run, watch).await
     }
 
@@ -281,6 +287,7 @@ impl Job<ViewOutcome> {
             &problems,
             stopped.as_ref(),
             self.subject.baseline.as_deref(),
+            self.subject.station.stages.approach_sigma().0,
         );
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
@@ -330,6 +337,7 @@ impl Job<ViewOutcome> {
             fields: found.fields,
             neighbours: found.neighbours,
             poses: found.poses,
+            approaches: found.approaches,
             pictures: Pictures {
                 maps: found.maps,
                 deviations_um: found.deviations_um,

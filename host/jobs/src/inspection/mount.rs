@@ -1,6 +1,6 @@
 //! Pose of a view in the mounting of its baseline.
 
-use flankscope_metrology::registration::Options;
+use flankscope_metrology::registration::{Options, Prior};
 use flankscope_metrology::wear::MountPose;
 use flankscope_metrology::wear::mount::Seat;
 use flankscope_metrology::wear::sensitivity::FoundMount;
@@ -29,7 +29,13 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
     let lands = located.iter().zip(&used).filter(|(_, used)| **used);
     let lands: Vec<[f64; 3]> = lands.map(|(point, _)| *point).collect();
     let closest = view.place.surface.closest_many(&lands);
-    let (registration, prior) = recorded.registration(&seat, stages, &closest, view.form_mm)?;
+    let found = recorded.locate(&seat, stages, &closest, view.form_mm, view.mount_drift_mm)?;
+    let registration = found.registration;
+    let prior = Prior {
+        tool_from_cloud: registration.tool_from_cloud,
+        pivot_mm: registration.centre_mm,
+        covariance: registration.covariance,
+    };
     Some(Fit {
         options: Options {
             initial: prior.tool_from_cloud,
@@ -41,8 +47,8 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
         prior,
         same_mount: Some(FoundMount {
             recorded,
-            approaches: 2.0 * view.approach,
-            drift_mm: view.form_mm,
+            approaches: (1.0 + 1.0 / view.approached) * view.approach,
+            drift_mm: found.drift_mm,
         }),
     })
 }

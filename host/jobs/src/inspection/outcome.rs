@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::{Code, Reason};
-use flankscope_metrology::wear::{FlankWear, PoseEvidence};
+use flankscope_metrology::wear::{FlankWear, MountPose, PoseEvidence};
 
 use super::flank_decision::FlankCriteria;
 use super::in_view::InView;
@@ -27,6 +27,8 @@ pub struct ViewOutcome {
     pub fields: Vec<Reference>,
     /// Evidence of the view's rotation about the axis, if it was registered.
     pub pose: Option<PoseEvidence>,
+    /// The same of every approach of the stages, where the view was left and approached anew.
+    pub(super) approaches: Vec<PoseEvidence>,
     /// Deviation maps of the two flanks.
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
@@ -127,6 +129,15 @@ impl ViewOutcome {
         self.in_view = in_view.with(self.tooth, again.in_view, &self.captures, &criteria);
         self.judge_again();
         self
+    }
+
+    /// Keeps the view's mounting as the mean of these approaches.
+    pub(super) fn approached(&mut self, approaches: Vec<PoseEvidence>) {
+        let mounts: Vec<MountPose> = approaches.iter().filter_map(|of| of.mount).collect();
+        if let Some(pose) = &mut self.pose {
+            pose.mount = MountPose::mean(&mounts);
+        }
+        self.approaches = approaches;
     }
 
     /// Judges both flanks by all captures.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use flankscope_foundation::rigid::{Camera, Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::registration::Prior;
 use flankscope_metrology::surface::Surface;
-use flankscope_metrology::wear::Zone;
+use flankscope_metrology::wear::{Approaches, Zone};
 use nalgebra::Matrix6;
 
 use flankscope_instrument::settings::Stages;
@@ -39,10 +39,11 @@ impl Place {
     }
 
     /// Part of that covariance that is random at every approach of the same position; zero for a stated pose, which does not separate it.
-    pub fn approach(&self, stages: &Stages) -> Matrix6<f64> {
+    /// What a baseline `measured` of it counts where the station states nothing smaller.
+    pub fn approach(&self, stages: &Stages, measured: Option<&Approaches>) -> Matrix6<f64> {
         match self.stated {
             Some(_) => Matrix6::zeros(),
-            None => approach_covariance(stages),
+            None => approach_covariance(stages, measured),
         }
     }
 }
@@ -67,8 +68,13 @@ fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
 
 /// Covariance of the stages' random errors at every approach. The remaining part of the prior repeats with every approach of the
 /// same position: the stages' systematic errors, and the mounting of head and die.
-fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
-    let (rotation_rad, vertical_mm) = stages.approach_sigma();
+fn approach_covariance(stages: &Stages, measured: Option<&Approaches>) -> Matrix6<f64> {
+    let (stated_rad, vertical_mm) = stages.approach_sigma();
+    let rotation_rad = match (measured, stages.rotation_repeatability_mdeg) {
+        (Some(measured), None) => measured.rotation_u_rad(),
+        (Some(measured), Some(_)) => measured.rotation_u_rad().max(stated_rad),
+        (None, _) => stated_rad,
+    };
     let mut covariance = Matrix6::zeros();
     covariance[(2, 2)] = rotation_rad * rotation_rad;
     covariance[(5, 5)] = vertical_mm * vertical_mm;

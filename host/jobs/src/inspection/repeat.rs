@@ -1,8 +1,10 @@
 //! Repeats measurements of wear that is too near to a limit, and looks from further places where too little was seen, while there is
-//! time.
+//! time. Approaches the views of a baseline anew.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
+use flankscope_metrology::wear::PoseEvidence;
 use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
@@ -23,6 +25,49 @@ enum Repeated {
 }
 
 impl Job<ViewOutcome> {
+    /// References the stages and captures all planned views again, as often as a baseline asks for it: what differs is what the stages do not
+    /// repeat. Returns why that stopped early, if it did; fewer approaches are no reason.
+    pub(super) async fn approach_again(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<Stop>, InspectError> {
+        let views: Vec<usize> = (0..self.plan.views.len()).collect();
+        let mut approaches: BTreeMap<usize, Vec<PoseEvidence>> = BTreeMap::new();
+        let mut keep = |outcomes: &BTreeMap<usize, ViewOutcome>| {
+            for (&view, outcome) in outcomes {
+                let evidence = outcome.pose.clone().filter(|of| of.mount.is_some());
+                approaches.entry(view).or_default().extend(evidence);
+            }
+        };
+        keep(&run.outcomes);
+        let mut ended = Repeated::Whole;
+        for _ in 0..self.further_approaches {
+            self.acquisition.reference(client, watch).await?;
+            let before = std::mem::take(&mut run.outcomes);
+            let captured = self.capture_when_open(client, run, &views, watch).await;
+            let again = std::mem::take(&mut run.outcomes);
+            keep(&again);
+            run.outcomes = ViewOutcome::joined(before, again, &self.plan);
+            ended = captured?;
+            if !matches!(ended, Repeated::Whole) {
+                break;
+            }
+        }
+        for (view, approaches) in approaches {
+            if let Some(outcome) = run.outcomes.get_mut(&view)
+                && approaches.len() > 1
+            {
+                outcome.approached(approaches);
+            }
+        }
+        Ok(match ended {
+            Repeated::Stopped(why) => Some(why),
+            Repeated::Whole | Repeated::NotLetIn => None,
+        })
+    }
+
     /// Repeats, as often as the tool file allows and while there is time, the views whose wear is too near to a limit. Returns
     /// why that stopped early, if it did.
     pub(super) async fn repeat_open_views(

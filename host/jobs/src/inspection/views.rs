@@ -334,6 +334,7 @@ impl Evaluator {
             }],
             fields,
             pose: assessed.pose.map(|pose| PoseEvidence { mount, ..pose }),
+            approaches: Vec::new(),
             maps,
             deviations_um,
             phasors: Vec::new(),
@@ -391,13 +392,17 @@ impl Evaluator {
     /// A view of these points, with what is known of its pose.
     fn view<'a>(&'a self, place: &'a Place, points: &'a [[f64; 3]]) -> View<'a> {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
+        let baseline = self.criteria.baseline.as_ref();
+        let measured = baseline.and_then(|baseline| baseline.approaches.as_ref());
         View {
             place,
             tool: &self.criteria.tool,
             points,
             stages: place.prior(tool_from_camera, &self.stages),
-            approach: place.approach(&self.stages),
+            approach: place.approach(&self.stages, measured),
+            approached: measured.map_or(1.0, |of| f64::from(of.count)),
             form_mm: self.criteria.settings.form_mm(true),
+            mount_drift_mm: self.stages.mount_drift_mm(),
         }
     }
 
@@ -562,6 +567,7 @@ impl Evaluator {
             }],
             fields: Vec::new(),
             pose: None,
+            approaches: Vec::new(),
             maps: Vec::new(),
             deviations_um: Vec::new(),
             phasors: Vec::new(),

@@ -42,6 +42,8 @@ pub struct Job<O> {
     pub(crate) acquisition: Acquisition<O>,
     /// Program that states the camera poses; for checks only, if the station file names one.
     pub(crate) poses: Option<PoseProgram>,
+    /// Approaches of each view after the first one; for a baseline only.
+    pub(crate) further_approaches: u32,
 }
 
 /// Source of a job's frames.
@@ -79,6 +81,7 @@ impl<O: Send + 'static> Job<O> {
             setting,
             plan,
             poses: None,
+            further_approaches: 0,
         })
     }
 

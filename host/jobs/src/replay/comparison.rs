@@ -52,6 +52,7 @@ pub fn compare_checks(
         flanks: earlier.fields.clone(),
         poses: earlier.poses.clone(),
         in_view: earlier.neighbours.clone(),
+        approaches: None,
     };
     let mut with_baseline = second.subject(subject);
     with_baseline.baseline = Some(Arc::new(baseline));

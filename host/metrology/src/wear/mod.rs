@@ -12,6 +12,7 @@
 //! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
 //! shape of damage is presumed. The figures of a flank are in [`JudgedFigures`], their sources of uncertainty in [`Budget`].
 
+mod approaches;
 mod brightness;
 mod budget;
 mod disc;
@@ -40,6 +41,7 @@ use std::sync::Arc;
 use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
 use flankscope_foundation::order::median_of;
 
+pub use approaches::Approaches;
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
 pub use evaluate::{evaluate, evaluate_placed, places};

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::Zone;
 use super::sensitivity::{LEAST_POINTS, motion_row};
 use crate::gear::{GearData, Land};
-use crate::registration::{Prior, Registration, Status};
+use crate::registration::{Registration, Status};
 use crate::surface::Closest;
 
 /// Largest motion of the lands within one mounting, in standard uncertainties of a flank's form: three, of a difference of two.
@@ -25,6 +25,10 @@ const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
 const KEPT: f64 = 1e-6;
 /// Steps of the robust fit.
 const STEPS: usize = 10;
+
+/// Standard uncertainty of a drift along a direction that is not seen, per root of the sum of squares of those along the two that are:
+/// all three are drawn alike, and Student's factor for two degrees of freedom replaces the normal one (4.30 / 1.96 / root 2).
+const UNSEEN_DRIFT: f64 = 1.55;
 
 /// A rigid motion in tool coordinates: rotation vector (rad), then translation (mm).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -63,6 +67,15 @@ pub struct Seat<'a> {
     gear: &'a GearData,
     at_mm: Vector3<f64>,
     half_height_mm: f64,
+}
+
+/// A view in the mounting of its baseline.
+#[derive(Debug)]
+pub struct InMount {
+    /// Its pose. The covariance leaves out the approach of the stages, and all of what moves the view along the circumference.
+    pub registration: Registration,
+    /// Standard uncertainty of the mounting's drift in directions that no land shows, mm.
+    pub drift_mm: f64,
 }
 
 /// Point on a land.
@@ -202,25 +215,42 @@ impl MountPose {
         })
     }
 
+    /// The mounting by several approaches of the stages to one view: their mean motion, and the lands of the first. None without any.
+    pub fn mean(approaches: &[Self]) -> Option<Self> {
+        let mut motion = [0.0; 6];
+        for approach in approaches {
+            for (sum, of) in motion.iter_mut().zip(approach.from_stages.0) {
+                *sum += of / approaches.len() as f64;
+            }
+        }
+        Some(Self {
+            from_stages: Motion(motion),
+            ..*approaches.first()?
+        })
+    }
+
     /// Pose that the baseline's view would have now if neither mounting nor stages had moved.
     pub fn expected(&self, stages: &Rigid<Tool, Cloud>) -> Rigid<Tool, Cloud> {
         Rigid::from_isometry(self.from_stages.isometry() * stages.isometry())
     }
 
     /// Pose of a view in the same mounting, corrected by what the lands moved. `closest` belongs to points on lands in the
-    /// [expected pose](Self::expected). None where neither roots nor tips lie where they did, as far as the form of a flank is known
-    /// (`form_mm`, standard uncertainty), and where too little of them was seen.
-    pub fn registration(
+    /// [expected pose](Self::expected). `form_mm` and `drift_mm` are standard uncertainties: of a flank's form, and of the mounting's
+    /// position since the baseline, along each axis; without the latter a drift that is seen stands for the one that is not. None where
+    /// neither roots nor tips lie where they did, as far as both allow, and where too little of them was seen.
+    pub fn locate(
         &self,
         seat: &Seat<'_>,
         stages: &Rigid<Tool, Cloud>,
         closest: &[Closest],
         form_mm: f64,
-    ) -> Option<(Registration, Prior)> {
+        drift_mm: Option<f64>,
+    ) -> Option<InMount> {
+        let limit_mm = SAME_MOUNT * form_mm.max(drift_mm.unwrap_or(0.0));
         let unmoved = |(lands, recorded_mm): (Option<Lands>, Option<[f64; 2]>)| {
             let lands = lands?;
             let moved_mm = lands.motion_mm - Vector2::from(recorded_mm?);
-            let is_same = moved_mm.iter().all(|mm| mm.abs() <= SAME_MOUNT * form_mm);
+            let is_same = moved_mm.iter().all(|mm| mm.abs() <= limit_mm);
             is_same.then_some((lands, moved_mm))
         };
         // Tips wear before roots do.
@@ -229,12 +259,14 @@ impl MountPose {
         let (lands, moved_mm) = lands.find_map(unmoved)?;
         let expected = self.expected(stages);
         let pose = Rigid::from_isometry(seat.motion(moved_mm) * expected.isometry());
+        let drift_mm = form_mm.hypot(drift_mm.unwrap_or(UNSEEN_DRIFT * moved_mm.norm()));
         let (along, up) = (seat.towards_axis(), Vector3::z());
-        let (along, up) = (along * along.transpose(), up * up.transpose());
+        let across = up.cross(&along);
+        let [along, up, across] = [along, up, across].map(|axis| axis * axis.transpose());
+        let [seen, unseen] = [form_mm, drift_mm].map(|mm| mm * mm);
         let kept = KEPT * KEPT * Matrix3::identity();
-        let tilt_rad = form_mm / seat.half_height_mm;
-        let rotation = tilt_rad * tilt_rad * (Matrix3::identity() - up) + kept;
-        let shift = form_mm * form_mm * (along + up) + kept;
+        let rotation = (seen * across + unseen * along) / seat.half_height_mm.powi(2) + kept;
+        let shift = seen * along + unseen * up + kept;
         let mut covariance = Matrix6::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
         covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&shift);
@@ -251,12 +283,10 @@ impl MountPose {
             centre_mm: seat.at_mm.into(),
             arm_mm: seat.half_height_mm,
         };
-        let prior = Prior {
-            tool_from_cloud: pose,
-            pivot_mm: seat.at_mm.into(),
-            covariance,
-        };
-        Some((registration, prior))
+        Some(InMount {
+            registration,
+            drift_mm,
+        })
     }
 }
 
@@ -324,8 +354,12 @@ mod tests {
             // The die moved: in the expected pose its lands lie by so much elsewhere.
             let drift = seat.motion(Vector2::from(drift_mm));
             let lands = seen(&seat, &drift, 0.0, 10 + seed);
-            let found = recorded.registration(&seat, &now, &lands, FORM_MM);
-            let (found, _) = found.expect("the same mounting");
+            let found = recorded.locate(&seat, &now, &lands, FORM_MM, None);
+            let found = found.expect("the same mounting");
+            let drift_mm = Vector2::from(drift_mm).norm();
+            let unseen_mm = FORM_MM.hypot(UNSEEN_DRIFT * drift_mm);
+            assert!((found.drift_mm - unseen_mm).abs() < UNSEEN_DRIFT * OFF_MM);
+            let found = found.registration;
             let right = drift.inverse() * mount * now.isometry();
             let off = found.tool_from_cloud.isometry() * right.inverse();
             let at = nalgebra::Point3::from(seat.at_mm);
@@ -341,19 +375,23 @@ mod tests {
         let stages = pose(0.2);
         let recorded = seen(&seat, &Isometry3::identity(), 0.0, 7);
         let recorded = MountPose::new(&seat, &stages, &stages, &recorded).expect("lands");
-        let is_same = |drift_mm: [f64; 2], tip_mm: f64| {
+        let is_same = |drift_mm: [f64; 2], tip_mm: f64, stated_mm: Option<f64>| {
             let lands = seen(&seat, &seat.motion(Vector2::from(drift_mm)), tip_mm, 8);
             recorded
-                .registration(&seat, &stages, &lands, FORM_MM)
+                .locate(&seat, &stages, &lands, FORM_MM, stated_mm)
                 .is_some()
         };
-        let limit_mm = SAME_MOUNT * FORM_MM;
-        for mm in [-limit_mm, limit_mm] {
-            for tip_mm in [0.0, 10e-3] {
-                assert!(is_same([0.8 * mm, 0.0], tip_mm) && is_same([0.0, 0.8 * mm], tip_mm));
+        for stated_mm in [None, Some(0.1e-3), Some(2e-3)] {
+            let limit_mm = SAME_MOUNT * stated_mm.map_or(FORM_MM, |mm: f64| mm.max(FORM_MM));
+            for mm in [-limit_mm, limit_mm] {
+                for lands in [[mm, 0.0], [0.0, mm]] {
+                    for tip_mm in [0.0, 10e-3] {
+                        assert!(is_same(lands.map(|mm| 0.8 * mm), tip_mm, stated_mm));
+                    }
+                    assert!(!is_same(lands.map(|mm| 1.2 * mm), 0.0, stated_mm));
+                }
             }
-            assert!(!is_same([1.2 * mm, 0.0], 0.0) && !is_same([0.0, 1.2 * mm], 0.0));
+            assert!(!is_same([f64::NAN, 0.0], 0.0, stated_mm));
         }
-        assert!(!is_same([f64::NAN, 0.0], 0.0));
     }
 }

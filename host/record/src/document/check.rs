@@ -6,9 +6,9 @@ use std::time::Duration;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
-use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::MissingTooth;
+use flankscope_metrology::wear::{Approaches, PoseEvidence};
 use flankscope_profilometry::decode::{LightMedians, Projectors, Rejected};
 use serde::{Deserialize, Serialize};
 
@@ -356,6 +356,9 @@ pub struct Inspection {
     /// Evidence of every view's rotation about the axis: becomes part of a baseline.
     #[serde(skip)]
     pub poses: Vec<PoseEvidence>,
+    /// Repeatability of the rotary stage, if views were approached anew: becomes part of a baseline.
+    #[serde(skip)]
+    pub approaches: Option<Approaches>,
     /// Data that only the report draws.
     #[serde(skip)]
     pub pictures: Pictures,
@@ -380,6 +383,7 @@ impl Inspection {
             flanks: self.fields.clone(),
             poses: self.poses.clone(),
             in_view: self.neighbours.clone(),
+            approaches: self.approaches,
         })
     }
 

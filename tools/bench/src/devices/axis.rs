@@ -20,9 +20,9 @@ pub struct AxisModel {
     pub travel: (f64, f64),
     /// Position of the home switch, at which it stands when switched on.
     pub home: f64,
-    /// Largest difference of the true position from the reported one; constant at each position.
+    /// Largest difference of the true position from the reported one.
     pub error: f64,
-    /// Part of the error that differs between runs, at most all of it; the rest is a function of the position.
+    /// Part of the error that is drawn anew at each approach, at most all of it; the rest is a function of the position.
     pub repeatability: f64,
     /// Backlash between motor and table: the table lags by half of it in the direction of motion.
     pub backlash: f64,
@@ -80,6 +80,8 @@ pub(super) struct Axis {
     pub saved: Settings,
     pub motor_on: bool,
     pub moves: u32,
+    /// Moves to another position.
+    pub approaches: u32,
     pub stalled: bool,
     /// Fault: the move never ends.
     pub stalls: bool,
@@ -110,6 +112,7 @@ impl Axis {
             settings,
             motor_on: false,
             moves: 0,
+            approaches: 0,
             stalled: false,
             stalls: false,
             reads_beside_mm: 0.0,
@@ -192,6 +195,7 @@ impl Axis {
         let up = target > here;
         if target != here {
             self.sent = if up { 1.0 } else { -1.0 };
+            self.approaches += 1;
         }
         let (down_switch, up_switch) = self.switches();
         let mut trips = target < down_switch || target > up_switch;

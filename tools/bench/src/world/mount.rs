@@ -17,6 +17,8 @@ const HARMONIC_RAD: f64 = 5e-3 * DEGREE;
 /// Standard deviation of the angle between vertical axis and rotation axis, rad: towards the die after alignment with a straight
 /// edge, along its wall after assembly of the machine.
 const VERTICAL_RAD: [f64; 2] = [10e-6, 200e-6];
+/// Radius of a die's rim, mm.
+const RIM_MM: f64 = 40.0;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// What the rotary stage carries: die or head.
@@ -105,6 +107,16 @@ impl Mount {
             harmonics_rad,
             saw: Saw::default(),
         }
+    }
+
+    /// Moves the die from where it was put: standard deviation of its shift along each axis, and of the shift of its rim by a turn about
+    /// each axis, µm; drawn from `seed`.
+    pub fn move_die(&mut self, sigma_um: f64, seed: u64) {
+        let mut random = Normals::new(stream(seed, Purpose::Moved));
+        let mut drawn = || Vector3::from_fn(|_, _| 1e-3 * sigma_um * random.next());
+        let (shift, turn) = (drawn(), drawn() / RIM_MM);
+        self.table_from_die *=
+            Isometry3::from_parts(Translation3::from(shift), UnitQuaternion::new(turn));
     }
 
     /// Tool frame from camera frame with the rotary stage at `rotation_rad` and the head raised by `vertical_mm`.

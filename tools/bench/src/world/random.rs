@@ -19,6 +19,7 @@ pub(crate) enum Purpose {
     Unevenness(u8),
     Flanks,
     Film,
+    Moved,
     Frame(u32),
     Paths(u32),
 }
@@ -39,6 +40,7 @@ impl Purpose {
             Self::Unevenness(lens) => [10, i64::from(lens)],
             Self::Flanks => [11, 0],
             Self::Film => [14, 0],
+            Self::Moved => [15, 0],
             Self::Frame(counter) => [12, i64::from(counter)],
             Self::Paths(core) => [13, i64::from(core)],
         }

@@ -55,7 +55,7 @@ pub struct FittedView<'a> {
 pub struct FoundMount {
     /// Mounting that the baseline recorded.
     pub recorded: MountPose,
-    /// Covariance of both approaches of the stages, theirs and now, about the tool's origin.
+    /// Covariance of the approaches of the stages, those of the baseline and this one, about the tool's origin.
     pub approaches: Matrix6<f64>,
     /// Standard uncertainty of the mounting's drift along the circumference, which no land shows, mm.
     pub drift_mm: f64,
