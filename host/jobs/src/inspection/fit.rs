@@ -25,6 +25,8 @@ pub(super) struct View<'a> {
     pub form_mm: f64,
     /// Standard uncertainty of the mounting's position since a baseline, along each axis, mm; none where it is not stated.
     pub mount_drift_mm: Option<f64>,
+    /// Standard uncertainty of a new mounting's position, along each axis, mm.
+    pub mount_mm: f64,
 }
 
 /// A view registered to the CAD.

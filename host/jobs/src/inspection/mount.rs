@@ -29,7 +29,14 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
     let lands = located.iter().zip(&used).filter(|(_, used)| **used);
     let lands: Vec<[f64; 3]> = lands.map(|(point, _)| *point).collect();
     let closest = view.place.surface.closest_many(&lands);
-    let found = recorded.locate(&seat, stages, &closest, view.form_mm, view.mount_drift_mm)?;
+    let found = recorded.locate(
+        &seat,
+        stages,
+        &closest,
+        view.form_mm,
+        view.mount_drift_mm,
+        view.mount_mm,
+    )?;
     let registration = found.registration;
     let prior = Prior {
         tool_from_cloud: registration.tool_from_cloud,
@@ -48,7 +55,8 @@ pub(super) fn fit_in(view: &View<'_>, recorded: MountPose) -> Option<Fit> {
         same_mount: Some(FoundMount {
             recorded,
             approaches: (1.0 + 1.0 / view.approached) * view.approach,
-            drift_mm: found.drift_mm,
+            drifts: found.drifts,
+            remounted: found.remounted,
         }),
     })
 }

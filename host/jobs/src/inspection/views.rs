@@ -403,6 +403,7 @@ impl Evaluator {
             approached: measured.map_or(1.0, |of| f64::from(of.count)),
             form_mm: self.criteria.settings.form_mm(true),
             mount_drift_mm: self.stages.mount_drift_mm(),
+            mount_mm: self.stages.mount_sigma().0,
         }
     }
 
@@ -433,7 +434,7 @@ impl Evaluator {
             prior: &fit.prior,
             stages: &view.stages,
             approach: view.approach,
-            same_mount: fit.same_mount,
+            same_mount: fit.same_mount.clone(),
             options: &fit.options,
             closest: measured.closest,
             used: &fit.used,

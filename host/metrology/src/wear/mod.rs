@@ -51,7 +51,9 @@ pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use mount::MountPose;
 pub use sensitivity::PoseSensitivity;
-pub use shared::{ANY_POSE_MM, OppositeChange, PoseEvidence, SameMount, SeenFlank, Turn};
+pub use shared::{
+    ANY_POSE_MM, OppositeChange, PoseEvidence, SameMount, SeenFlank, Statement, Turn,
+};
 pub use sight::Sight;
 use sight::Visibility;
 

@@ -81,14 +81,47 @@ pub struct PoseEvidence {
 }
 
 /// Pose that a view would have in the mounting of its baseline.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SameMount {
-    /// The t that would bring the view's pose there, mm.
-    pub turned_mm: f64,
-    /// Standard uncertainty of that by both approaches of the stages, and by the mounting's drift, mm.
-    pub sigma_mm: f64,
+    /// The t that would bring the view's pose there, by the approaches of the stages, for each drift of the mounting.
+    pub stages: Vec<Statement>,
+    /// Probability that it is another mounting.
+    pub remounted: f64,
     /// Change of the wear of both sides alike if the pose were there, mm.
     pub both_mm: f64,
+}
+
+/// What is known of t, with this probability: a normal distribution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Statement {
+    /// Probability of the statement.
+    pub probability: f64,
+    /// Expected t, mm.
+    pub at_mm: f64,
+    /// Its standard uncertainty, mm.
+    pub sigma_mm: f64,
+}
+
+impl Statement {
+    fn certain(at_mm: f64, sigma_mm: f64) -> Self {
+        Self {
+            probability: 1.0,
+            at_mm,
+            sigma_mm,
+        }
+    }
+
+    /// Expectation of t by all of them, and its standard uncertainty, mm.
+    fn together(statements: &[Self]) -> (f64, f64) {
+        let mean = |of: &dyn Fn(&Self) -> f64| {
+            let weighted = statements.iter().map(|one| one.probability * of(one));
+            let whole: f64 = statements.iter().map(|one| one.probability).sum();
+            weighted.sum::<f64>() / whole
+        };
+        let at_mm = mean(&|one| one.at_mm);
+        let variance = mean(&|one| one.sigma_mm.powi(2) + (one.at_mm - at_mm).powi(2));
+        (at_mm, variance.sqrt())
+    }
 }
 
 /// Standard uncertainties of the stages by which a sound datum is off them with a probability of 1 %, either of both ways counted.
@@ -199,9 +232,6 @@ const SINGLE_SHARE: f64 = 0.1;
 const ONE_SIDE: f64 = 0.15;
 const BOTH_SIDES: f64 = 0.5;
 const OPPOSITE: f64 = 0.02;
-/// Prior probability that a die was taken out and came back turned about its axis although its lands lie as in the baseline's mounting: one
-/// in five checks after a new mounting, of which the lands agree by chance in one of forty (a mounting known to 25 µm).
-const TURNED: f64 = 0.005;
 /// Least standard uncertainty of a flank's median, mm: noise, and its effect on the fit.
 const LEAST_FORM_MM: f64 = 0.5e-3;
 
@@ -233,44 +263,36 @@ impl PoseEvidence {
     /// given. `absolute_form_mm` is to what the form is known without a baseline.
     pub fn turn(&self, before: Option<&Self>, form_mm: f64, absolute_form_mm: f64) -> Turn {
         let flanks = self.since(before);
-        let any_mount = |then: [f64; 2]| Stages {
-            at_mm: self.stages_mm - then[0],
-            sigma_mm: self
-                .approach_sigma_mm
-                .hypot(self.mount_sigma_mm)
-                .hypot(then[1]),
+        let any_mount = |then: [f64; 2]| {
+            let sigma_mm = self.approach_sigma_mm.hypot(self.mount_sigma_mm);
+            Statement::certain(self.stages_mm - then[0], sigma_mm.hypot(then[1]))
         };
         let (stages, both_hidden_mm) = match before {
             None => {
                 let both_hidden_mm = self.stages_both_mm.hypot(self.both_sigma_mm);
-                (vec![(1.0, any_mount([0.0; 2]))], both_hidden_mm)
+                (vec![any_mount([0.0; 2])], both_hidden_mm)
             }
             Some(before) => {
                 // The stages' position now is compared with the pose by the flanks then.
                 let then = before.turn(None, absolute_form_mm, absolute_form_mm);
-                let other = any_mount([then.mean_mm, then.u_mm]);
+                let mut other = any_mount([then.mean_mm, then.u_mm]);
                 match &self.same_mount {
                     // A turn moves both sides in opposite directions, so that in the same mounting only the form is left in doubt.
                     Some(same) => {
-                        let kept = Stages {
-                            at_mm: same.turned_mm,
-                            sigma_mm: same.sigma_mm,
-                        };
-                        let stages = vec![(1.0 - TURNED, kept), (TURNED, other)];
+                        other.probability = same.remounted;
+                        let stages = [same.stages.as_slice(), &[other]].concat();
                         (stages, same.both_mm.hypot(SQRT_2 * form_mm))
                     }
                     None => {
                         let both_mm = self.stages_both_mm - before.stages_both_mm;
-                        (vec![(1.0, other)], both_mm.hypot(self.both_sigma_mm))
+                        (vec![other], both_mm.hypot(self.both_sigma_mm))
                     }
                 }
             }
         };
         let (mean_mm, u_mm) = posterior(&flanks, &stages, form_mm);
-        let Stages {
-            at_mm: stages_mm,
-            sigma_mm,
-        } = stages[0].1;
+        let same = self.same_mount.as_ref().filter(|_| before.is_some());
+        let (stages_mm, sigma_mm) = Statement::together(same.map_or(&stages, |same| &same.stages));
         let level_mm = |side: Flank| {
             let of_side = flanks.iter().filter(|f| f.flank == side);
             let mut mm: Vec<f64> = of_side.map(|f| f.median_mm).collect();
@@ -318,19 +340,15 @@ impl PoseEvidence {
     }
 }
 
-/// The t of the stages, and its standard uncertainty, mm.
-#[derive(Clone, Copy)]
-struct Stages {
-    at_mm: f64,
-    sigma_mm: f64,
-}
-
-/// Expectation of t and its standard uncertainty, mm: from the flanks in view, what the stages say (each statement with its probability),
-/// and the standard uncertainty of a flank's form.
-fn posterior(flanks: &[SeenFlank], stages: &[(f64, Stages)], form_mm: f64) -> (f64, f64) {
+/// Expectation of t and its standard uncertainty, mm: from the flanks in view, what the stages say, and the standard uncertainty of a
+/// flank's form.
+fn posterior(flanks: &[SeenFlank], stages: &[Statement], form_mm: f64) -> (f64, f64) {
     let form_mm = form_mm.max(LEAST_FORM_MM);
     let (mut low_mm, mut high_mm) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (_, Stages { at_mm, sigma_mm }) in stages {
+    for Statement {
+        at_mm, sigma_mm, ..
+    } in stages
+    {
         low_mm = low_mm.min(at_mm - SPAN * sigma_mm);
         high_mm = high_mm.max(at_mm + SPAN * sigma_mm);
     }
@@ -378,13 +396,11 @@ fn posterior(flanks: &[SeenFlank], stages: &[(f64, Stages)], form_mm: f64) -> (f
                 + ONE_SIDE * (left_any[i] * right[i] + left[i] * right_any[i])
                 + BOTH_SIDES * left_any[i] * right_any[i]
                 + OPPOSITE * opposite[i];
-            let of_stages = stages
-                .iter()
-                .map(|(probability, Stages { at_mm, sigma_mm })| {
-                    let sigma_mm = sigma_mm.max(step_mm);
-                    let off = (t_mm(i) - at_mm) / sigma_mm;
-                    probability / sigma_mm * (-0.5 * off * off).exp()
-                });
+            let of_stages = stages.iter().map(|stated| {
+                let sigma_mm = stated.sigma_mm.max(step_mm);
+                let off = (t_mm(i) - stated.at_mm) / sigma_mm;
+                stated.probability / sigma_mm * (-0.5 * off * off).exp()
+            });
             of_flanks * of_stages.sum::<f64>()
         })
         .collect();
@@ -527,18 +543,23 @@ mod tests {
     }
 
     /// The pose is where the baseline's mounting puts it, but for the approaches.
-    const SAME: SameMount = SameMount {
-        turned_mm: 0.0,
-        sigma_mm: 1e-3,
-        both_mm: 0.0,
-    };
+    fn same() -> SameMount {
+        SameMount {
+            stages: vec![Statement {
+                probability: 0.995,
+                ..Statement::certain(0.0, 1e-3)
+            }],
+            remounted: 0.005,
+            both_mm: 0.0,
+        }
+    }
 
     #[test]
     fn one_side_is_known_as_well_as_the_stages_repeat_in_the_mounting_of_the_baseline() {
-        let same = in_mount(Some(SAME), [0.055, 0.0]);
+        let kept = in_mount(Some(same()), [0.055, 0.0]);
         assert!(
-            same.mean_mm.abs() < 2.0 * same.u_mm && same.u_mm < 2e-3,
-            "{same:?}"
+            kept.mean_mm.abs() < 2.0 * kept.u_mm && kept.u_mm < 2e-3,
+            "{kept:?}"
         );
         let other = in_mount(None, [0.055, 0.0]);
         assert!(other.u_mm > STAGES_MM, "{other:?}");
@@ -549,7 +570,7 @@ mod tests {
     #[test]
     fn die_that_came_back_turned_about_its_axis_is_not_held_for_worn() {
         for turned_mm in [-20e-3, -7e-3, 7e-3, 20e-3] {
-            let turn = in_mount(Some(SAME), [-turned_mm, turned_mm]);
+            let turn = in_mount(Some(same()), [-turned_mm, turned_mm]);
             let believed = turn.mean_mm / turned_mm;
             assert!((0.4..1.0).contains(&believed), "{turned_mm}: {turn:?}");
             for possible_mm in [0.0, turned_mm] {
@@ -559,7 +580,7 @@ mod tests {
         }
         // A die that did not turn, worn on both sides, on one or not at all.
         for worn_mm in [[0.04, 0.04], [0.06, 0.02], [0.02, 0.0], [0.0, 0.0]] {
-            let turn = in_mount(Some(SAME), worn_mm);
+            let turn = in_mount(Some(same()), worn_mm);
             assert!(
                 turn.mean_mm.abs() < 2.0 * turn.u_mm && turn.u_mm < 2e-3,
                 "{worn_mm:?}: {turn:?}"
@@ -570,10 +591,10 @@ mod tests {
     #[test]
     fn change_of_both_sides_may_hide_less_in_the_mounting_of_the_baseline() {
         let hidden_mm = |same| in_mount(same, [0.03; 2]).both_hidden_mm;
-        assert!((hidden_mm(Some(SAME)) - SQRT_2 * FORM_MM).abs() < 1e-12);
+        assert!((hidden_mm(Some(same())) - SQRT_2 * FORM_MM).abs() < 1e-12);
         let moved = SameMount {
             both_mm: 5e-3,
-            ..SAME
+            ..same()
         };
         assert!(hidden_mm(Some(moved)) > 5e-3);
         assert!(hidden_mm(None) >= view([0.0; 2], [0.0; 2], 0.0, 0.0).both_sigma_mm);

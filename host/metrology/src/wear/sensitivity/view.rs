@@ -8,7 +8,8 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::super::leakage::{self, Leakage};
-use super::super::{MountPose, PoseEvidence, SameMount, SeenFlank, Zone};
+use super::super::mount::Drift;
+use super::super::{MountPose, PoseEvidence, SameMount, SeenFlank, Statement, Zone};
 use super::{ExpansionUncertainty, PoseSensitivity, motion_row};
 use crate::feature::Features;
 use crate::gear::{Flank, FlankPlace};
@@ -51,14 +52,16 @@ pub struct FittedView<'a> {
 }
 
 /// A mounting that was found to be the baseline's.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct FoundMount {
     /// Mounting that the baseline recorded.
     pub recorded: MountPose,
     /// Covariance of the approaches of the stages, those of the baseline and this one, about the tool's origin.
     pub approaches: Matrix6<f64>,
-    /// Standard uncertainty of the mounting's drift along the circumference, which no land shows, mm.
-    pub drift_mm: f64,
+    /// How far it may have drifted since.
+    pub drifts: Vec<Drift>,
+    /// Probability that it is another one all the same.
+    pub remounted: f64,
 }
 
 /// Points of one flank in the judged radii and heights.
@@ -280,9 +283,15 @@ impl FittedView<'_> {
                 .isometry());
             let along: f64 = (0..3).map(|k| difference[3 + k] * across[k]).sum();
             let approaches = difference.dot(&(about(centre, &mount.approaches) * difference));
+            let approaches_mm = approaches.max(0.0).sqrt();
+            let stated = |drift: &Drift| Statement {
+                probability: drift.probability,
+                at_mm: difference.dot(&back) + along * drift.along_mm,
+                sigma_mm: approaches_mm.hypot(along * drift.along_u_mm),
+            };
             SameMount {
-                turned_mm: difference.dot(&back),
-                sigma_mm: approaches.max(0.0).sqrt().hypot(along * mount.drift_mm),
+                stages: mount.drifts.iter().map(stated).collect(),
+                remounted: mount.remounted,
                 both_mm: both.dot(&back),
             }
         });
