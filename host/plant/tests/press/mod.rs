@@ -134,6 +134,7 @@ pub fn inspection(tool: &str, tooth: u32, verdict: Word, press_cycles: u32) -> I
         fields: Vec::new(),
         neighbours: Vec::new(),
         poses: Vec::new(),
+        approaches: None,
         pictures: Pictures::default(),
     }
 }

@@ -97,6 +97,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         fields: Vec::new(),
         neighbours: Vec::new(),
         poses: Vec::new(),
+        approaches: None,
         pictures: Pictures::default(),
     }
 }
