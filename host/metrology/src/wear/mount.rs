@@ -342,15 +342,18 @@ impl MountPose {
             let is_same = moved_mm.xy().iter().all(|mm| mm.abs() <= limit_mm);
             is_same.then_some((lands, moved_mm))
         };
-        // Tips wear before roots do.
         let recorded_mm = [self.roots_mm, self.tips_mm];
-        let mut lands = seat.roots_and_tips(closest).into_iter().zip(recorded_mm);
-        let (lands, moved_mm) = lands.find_map(unmoved)?;
+        let lands = seat.roots_and_tips(closest).into_iter().zip(recorded_mm);
+        let unmoved: Vec<(Lands, Vector3<f64>)> = lands.filter_map(unmoved).collect();
+        // Tips wear before roots do.
+        let &(lands, moved_mm) = unmoved.first()?;
         // The form of each land is off by itself.
-        let along_u_mm = form_mm / (lands.slope * (lands.count as f64).sqrt());
+        let weight = |of: &Lands| of.slope.powi(2) * of.count as f64;
+        let whole: f64 = unmoved.iter().map(|(lands, _)| weight(lands)).sum();
+        let along = unmoved.iter().map(|(lands, mm)| weight(lands) * mm[2]);
         let seen = SeenDrift {
             towards_axis_mm: [moved_mm[0], form_mm],
-            along_mm: [moved_mm[2], along_u_mm],
+            along_mm: [along.sum::<f64>() / whole, form_mm / whole.sqrt()],
         };
         let stated = drift_mm.as_slice();
         let scales_mm = if stated.is_empty() {
