@@ -41,7 +41,7 @@ const COARSE_MM: [f64; 2] = [0.1, 2.0];
 /// Parts of a land or root along the circumference.
 const LAND_PARTS: usize = 8;
 
-/// The demo die's bore: every flank lowered by `loss_mm`, a tooth left out where that is infinite.
+/// The demo die's bore: every flank lowered by `loss_mm` along its normal, a tooth left out where that is infinite.
 ///
 /// # Panics
 /// The drawing is impossible.
@@ -55,8 +55,10 @@ pub fn bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
         let radius = gear.tip_radius_mm + place.from_tip_mm;
         let angle = gear.flank_angle_rad(place.tooth, place.flank, radius);
         let [nx, ny] = gear.flank_normal(place.tooth, place.flank, radius);
-        let at = [radius * angle.cos(), radius * angle.sin()];
-        [at[0] - sunk_mm * nx, at[1] - sunk_mm * ny, place.height_mm]
+        // Along the circumference, so that tip and root stay where they are.
+        let along = ny * angle.cos() - nx * angle.sin();
+        let angle = angle - sunk_mm / (along * radius);
+        [radius * angle.cos(), radius * angle.sin(), place.height_mm]
     };
     for tooth in 1..=gear.teeth {
         for flank in [Flank::Right, Flank::Left] {

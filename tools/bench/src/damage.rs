@@ -29,6 +29,7 @@ const SHORTEST_MM: f64 = 0.1;
 const LENGTH_RATIO: f64 = 30.0;
 
 /// A random number generator for one purpose.
+#[derive(Clone)]
 pub struct Random(rand_pcg::Pcg64);
 
 impl Random {

@@ -93,6 +93,17 @@ pub(super) struct Trouble {
     pub turned_rad: f64,
     /// Fraction of the light that is missing.
     pub dimmed: f64,
+    /// How the stages' errors repeat; none: they are drawn anew at each approach.
+    pub stages: Option<Repeating>,
+}
+
+/// Stages whose errors repeat but for a part.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Repeating {
+    /// Seed of what repeats.
+    pub seed: u64,
+    /// Share of the largest error that each approach draws anew.
+    pub share: f64,
 }
 
 impl Instrument {
@@ -149,13 +160,21 @@ impl Instrument {
         draw: u64,
         trouble: Trouble,
     ) -> anyhow::Result<ViewState> {
-        let mut random = Random::new(draw, 1 + number as u64);
+        let anew = Random::new(draw, 1 + number as u64);
+        let mut random = trouble
+            .stages
+            .map_or([(1.0, anew.clone()), (0.0, anew.clone())], |of| {
+                let repeated = Random::new(of.seed, 1 + number as u64);
+                [(of.share, anew), (1.0 - of.share, repeated)]
+            });
+        let mut error = || -> f64 {
+            let of = |(share, random): &mut (f64, Random)| *share * (2.0 * random.uniform() - 1.0);
+            random.iter_mut().map(of).sum()
+        };
         let view = self.plan.all_views().nth(number);
         let view = view.context("a view of the plan")?;
-        let rotation = view.rotation_rad
-            + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
-            + trouble.turned_rad;
-        let vertical = view.vertical_mm + VERTICAL_ERROR_MM * (2.0 * random.uniform() - 1.0);
+        let rotation = view.rotation_rad + ROTATION_ERROR_RAD * error() + trouble.turned_rad;
+        let vertical = view.vertical_mm + VERTICAL_ERROR_MM * error();
         Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
     }
 

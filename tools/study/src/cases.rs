@@ -186,6 +186,7 @@ pub fn cases() -> Vec<Case> {
         trouble: Trouble {
             turned_rad: turned_pitches * std::f64::consts::TAU / 84.0,
             dimmed,
+            stages: None,
         },
         ..case(Group::Spoiled, name, Damaged::Nothing)
     };

@@ -193,7 +193,7 @@ pub fn draws(
             }
             let since = family.has_baselines() && head % 2 == 1;
             if since {
-                stand = stand.with_baseline()?;
+                stand = stand.with_baseline(1)?;
             }
             before(stand, family, (head, views), since, &cad, &tell)
         });

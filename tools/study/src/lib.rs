@@ -10,7 +10,7 @@
 //!                              truth (closed form of the damage) ───────────────────────────┘        ▲
 //!  plane ──► staircase (pixel by pixel, core by core) ───────────────────────────────────────────────┘
 //!  campaign: random damage against exact distances, for the tests
-//!  structure ──► stand (a calibrated head before meshes) ──► resolution (width by depth), families (drawn at random)
+//!  structure ──► stand (a calibrated head before meshes) ──► resolution (width by depth), families (drawn at random), press (all teeth)
 //! ```
 
 mod block;
@@ -22,6 +22,7 @@ mod characteristic;
 mod chart;
 mod families;
 mod page;
+mod press;
 mod resolution;
 mod runs;
 mod setup;
@@ -54,6 +55,8 @@ pub enum Subject {
     Resolution,
     /// How often dies of families drawn at random are passed.
     Families,
+    /// How often dies whose teeth all wear are judged right, by what is known of them.
+    Press,
 }
 
 /// How large the study is.
@@ -110,6 +113,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Subject::Verdicts => {}
         Subject::Resolution => return resolution::run(args),
         Subject::Families => return families::run(args),
+        Subject::Press => return press::run(args),
     }
     let wanted = |case: &Case| {
         args.only

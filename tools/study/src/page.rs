@@ -101,6 +101,7 @@ pub(super) fn command(args: &Args) -> String {
         Subject::Verdicts => format!(" --blocks {blocks} --captures {captures}"),
         Subject::Resolution => " resolution".to_owned(),
         Subject::Families => format!(" families --blocks {blocks} --captures {captures}"),
+        Subject::Press => format!(" press --blocks {blocks} --captures {captures}"),
     };
     // Without one, the commit's.
     let seed = seed.map_or(String::new(), |seed| format!(" --seed {seed}"));

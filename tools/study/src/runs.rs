@@ -62,6 +62,7 @@ impl Run {
             Subject::Verdicts => "verdicts",
             Subject::Resolution => "resolution",
             Subject::Families => "families",
+            Subject::Press => "press",
         };
         let head = args.head.as_ref().map(|head| head.given.clone());
         let seed_from = if args.seed.is_some() {

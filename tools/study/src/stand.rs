@@ -6,8 +6,10 @@ use flankscope_bench::damage::Rectangle;
 use flankscope_bench::world::{CoreTruth, DieMesh, FlankId, World};
 use flankscope_bench::zones::{Judged, ZoneTruth, compare};
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
+use flankscope_instrument::settings::Stages;
 use flankscope_jobs::inspection::ViewOutcome;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::wear::{Approaches, PoseEvidence};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_record::baseline::Baseline;
@@ -28,6 +30,8 @@ pub(super) struct Stand {
     head: HeadModel,
     tool: Tool,
     instrument: Instrument,
+    /// Faults of every capture.
+    pub trouble: Trouble,
     pub place: Place,
     /// Seed of all random numbers for this head.
     pub seed: u64,
@@ -71,6 +75,7 @@ impl Stand {
             instrument: Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?,
             head,
             tool,
+            trouble: Trouble::default(),
             place,
             seed: own,
             judged,
@@ -92,18 +97,22 @@ impl Stand {
         Ok(self)
     }
 
-    /// The same head, from now on with a baseline of a sound bore.
-    pub fn with_baseline(mut self) -> anyhow::Result<Self> {
-        let sound = bore(|_| 0.0, &[]);
-        let golden = self.look(sound, 0)?;
+    /// The same head, from now on with a baseline of a sound bore by this many approaches.
+    pub fn with_baseline(mut self, approaches: u32) -> anyhow::Result<Self> {
+        let golden = self.look(bore(|_| 0.0, &[]), 0)?;
+        let mut poses: Vec<PoseEvidence> = golden.pose.into_iter().collect();
+        for number in 1..approaches {
+            poses.extend(self.look(bore(|_| 0.0, &[]), number)?.pose);
+        }
+        let sigma_rad = Stages::default().approach_sigma().0;
         let baseline = Baseline {
             tool: self.tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
             simulated: true,
             flanks: golden.fields,
-            poses: golden.pose.into_iter().collect(),
+            poses: PoseEvidence::of_approaches(&poses).into_iter().collect(),
             in_view: Vec::new(),
-            approaches: None,
+            approaches: Approaches::of(&[poses], sigma_rad),
         };
         let tooth = self.place.tooth;
         let (tool, head) = (&self.tool, &self.head);
@@ -121,6 +130,12 @@ impl Stand {
         [Flank::Left, Flank::Right].map(|flank| FlankId { tooth, flank })
     }
 
+    /// Replaces the die.
+    pub fn put(&mut self, die: Mesh) -> anyhow::Result<()> {
+        self.world.stand(Some(Arc::new(DieMesh::new(die)?)))?;
+        Ok(())
+    }
+
     /// Replaces the die, approaches it again and judges one view; `number` is the seed of stage errors and noise.
     pub fn look(&mut self, die: Mesh, number: u32) -> anyhow::Result<ViewOutcome> {
         Ok(self.look_truly(die, number)?.0)
@@ -132,14 +147,12 @@ impl Stand {
         die: Mesh,
         number: u32,
     ) -> anyhow::Result<(ViewOutcome, Vec<CoreTruth>)> {
-        self.world.stand(Some(Arc::new(DieMesh::new(die)?)))?;
+        self.put(die)?;
         let draw = (self.seed << 24) | u64::from(number);
-        let state = self
-            .instrument
-            .approach(&self.world, draw, Trouble::default())?;
+        let state = self.instrument.approach(&self.world, draw, self.trouble)?;
         let outcome =
             self.instrument
-                .capture_all(&self.world, &state, (number, draw), Trouble::default())?;
+                .capture_all(&self.world, &state, (number, draw), self.trouble)?;
         Ok((outcome, self.world.truth(&state).to_vec()))
     }
 

@@ -39,9 +39,10 @@ cargo xtask COMMAND
   study --why TEXT [--blocks N --captures N --only TEXT --head NAME --surface KIND --patterns SET --seed S]
                          how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel and of
                          another head in folders of their own there (--surface ground, polished, oiled; --head 10mm, or a file)
-  study resolution|families --why TEXT [--blocks N --captures N --seed S]
+  study resolution|families|press --why TEXT [--blocks N --captures N --seed S]
                          the smallest openings that are seen (docs/study/resolution.md); how often dies of families drawn at
-                         random are passed, N heads and N dies before each (docs/study/families.md). Of any of them: what is drawn follows
+                         random are passed, N heads and N dies before each (docs/study/families.md); how often dies whose teeth all
+                         wear are judged right (docs/study/press.md). Of any of them: what is drawn follows
                          from the commit, a tree with changes is refused, every run is appended to docs/study/log.csv
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
   pages [--release]      how many commits of their code the pages with figures lack; --release: fails where these are too many

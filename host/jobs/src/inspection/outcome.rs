@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::{Code, Reason};
-use flankscope_metrology::wear::{FlankWear, MountPose, PoseEvidence};
+use flankscope_metrology::wear::{FlankWear, PoseEvidence};
 
 use super::flank_decision::FlankCriteria;
 use super::in_view::InView;
@@ -131,12 +131,9 @@ impl ViewOutcome {
         self
     }
 
-    /// Keeps the view's mounting as the mean of these approaches.
+    /// Keeps the evidence of these approaches, of which the first is this one's.
     pub(super) fn approached(&mut self, approaches: Vec<PoseEvidence>) {
-        let mounts: Vec<MountPose> = approaches.iter().filter_map(|of| of.mount).collect();
-        if let Some(pose) = &mut self.pose {
-            pose.mount = MountPose::mean(&mounts);
-        }
+        self.pose = PoseEvidence::of_approaches(&approaches);
         self.approaches = approaches;
     }
 

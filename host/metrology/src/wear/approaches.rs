@@ -3,7 +3,7 @@
 use flankscope_foundation::normal::{COVERAGE_95, student_factor};
 use serde::{Deserialize, Serialize};
 
-use super::PoseEvidence;
+use super::{MountPose, PoseEvidence};
 
 /// Scatter of the rotary stage's angle over approaches of the same views.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -48,6 +48,17 @@ impl Approaches {
     /// Standard uncertainty that gives 95 % with the normal factor where so few degrees of freedom need Student's.
     pub fn rotation_u_rad(&self) -> f64 {
         self.rotation_sigma_rad * student_factor(self.degrees_of_freedom) / COVERAGE_95
+    }
+}
+
+impl PoseEvidence {
+    /// Evidence of a view that was approached several times: the first one's, in the mean mounting.
+    pub fn of_approaches(approaches: &[Self]) -> Option<Self> {
+        let mounts: Vec<MountPose> = approaches.iter().filter_map(|of| of.mount).collect();
+        Some(Self {
+            mount: MountPose::mean(&mounts),
+            ..approaches.first()?.clone()
+        })
     }
 }
 
