@@ -69,6 +69,23 @@ fn a_recording_is_shown_and_never_stands() {
     ] {
         assert!(metrics.contains(line), "no {line} in {metrics}");
     }
+    // The no-go of a recording is shown, latches nothing, and cannot be acknowledged.
+    press.store(recording("die", Word::NoGo));
+    let board = plant.board_with("last NO-GO");
+    assert!(!board.contains("verdict no-go"), "{board}");
+    assert!(!board.contains("not acknowledged"), "{board}");
+    let registers = plant.registers();
+    assert_eq!((registers[0], registers[3]), (0, 0), "{registers:?}");
+    let metrics = plant.with_token("/metrics").text;
+    for line in [
+        "flankscope_no_gos_open 0.0",
+        "flankscope_no_go_latched{tool=\"die\",station=\"press 7\"} 0.0",
+    ] {
+        assert!(metrics.contains(line), "no {line} in {metrics}");
+    }
+    let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
+    let answer = plant.post("/acknowledge", &bearer, "check=2&reason=looked");
+    assert_eq!(answer.status, 409, "{}", answer.text);
     // The no-go of one die, then a recording with go of another and of the same one: the registers keep the no-go.
     press.check_now("die", 40, Word::NoGo);
     registers_with(&plant, |bits| bits & LATCHED != 0);
@@ -77,7 +94,7 @@ fn a_recording_is_shown_and_never_stands() {
     plant.board_with("which does not stand at the press");
     let registers = plant.registers();
     assert_eq!(registers[0] & (GO | NO_GO | LATCHED), NO_GO | LATCHED);
-    assert_eq!((registers[3], registers[5]), (3, 2), "{registers:?}");
+    assert_eq!((registers[3], registers[5]), (3, 3), "{registers:?}");
     // A fresh go of another die does not clear it either.
     press.check_now("third", 40, Word::Go);
     plant.board_with("verdict go");
