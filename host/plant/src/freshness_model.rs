@@ -186,16 +186,16 @@ fn a_no_go_that_was_known_stays_while_the_history_is_gone() {
     let gone = scene
         .look(&moment(100))
         .with_fault("gone", &[no_go("die", 6)]);
-    let said = gone.statement(&moment(500));
+    let statement = gone.statement(&moment(500));
     assert_eq!(
-        (said.verdict, said.open_no_gos[0].check),
+        (statement.verdict, statement.open_no_gos[0].check),
         (Some(Word::NoGo), 7)
     );
     // A process that has not read it yet has the station's memory.
     let unread = Standing::unread(Duration::from_secs(60)).with_fault("gone", &[no_go("die", 6)]);
-    let said = unread.statement(&moment(0));
+    let statement = unread.statement(&moment(0));
     assert_eq!(
-        (said.verdict, said.open_no_gos[0].check),
+        (statement.verdict, statement.open_no_gos[0].check),
         (Some(Word::NoGo), 6)
     );
 }
@@ -297,7 +297,7 @@ impl World {
     /// Puts the newest checks of a die first, as the history lists them.
     fn store(&mut self, die: usize, checks: LastChecks) {
         let tools = &mut self.scene.facts.tools;
-        tools.retain(|(known, _)| known.die.tool != DIES[die]);
+        tools.retain(|(checks, _)| checks.die.tool != DIES[die]);
         tools.insert(0, (checks, Vec::new()));
         self.next_check += 1;
         self.scene.facts.newest_date = Some(self.now().wall.to_string());
@@ -311,7 +311,7 @@ impl World {
             Incident::OtherGo => self.check(1, Word::Go),
             Incident::RecordedGo | Incident::RecordedNoGo => {
                 let tools = &mut self.scene.facts.tools;
-                let mut checks = tools.iter().find(|(known, _)| known.die.tool == DIES[0]);
+                let mut checks = tools.iter().find(|(checks, _)| checks.die.tool == DIES[0]);
                 let mut recorded = checks.take().map_or_else(
                     || LastChecks {
                         die: key(DIES[0]),

@@ -440,7 +440,7 @@ fn campaign(count: usize, lanes: usize) {
             .flat_map(|lane| lane.join().unwrap())
             .collect()
     });
-    let sum = |of: fn(&Seen) -> usize| all.iter().map(of).sum::<usize>();
+    let sum = |figure: fn(&Seen) -> usize| all.iter().map(figure).sum::<usize>();
     println!(
         "{count} schedules, {} rounds of questions, {} goes, {} stops, {} kills, {} acknowledgements accepted and {} refused",
         sum(|seen| seen.rounds),

@@ -103,7 +103,7 @@ fn checks_and_what_stands_are_said_in_json_as_the_schema_has_it() {
         all.extend(heard.until(|message| message["payload"]["online"] == false));
         let numbers: Vec<_> = payloads(&all, "check")
             .iter()
-            .map(|of| of["number"].clone())
+            .map(|check| check["number"].clone())
             .collect();
         assert_eq!(numbers, [json!(2)]);
         // Who comes later is told what stands, and that nobody is there.
@@ -177,9 +177,9 @@ fn nothing_is_lost_or_doubled_in_a_hundred_cuts() {
     };
     let (heard, last) = through_cuts(&station, 100, 1, "json", "");
     let checks = payloads(&heard, "check");
-    let id_and_number = |of: &&Value| {
-        let id = of["id"].as_str().unwrap().to_owned();
-        (id, of["number"].as_i64().unwrap())
+    let id_and_number = |check: &&Value| {
+        let id = check["id"].as_str().unwrap().to_owned();
+        (id, check["number"].as_i64().unwrap())
     };
     // A kill, too, may come between an acknowledgement and its note.
     assert_each_once(checks.iter().map(id_and_number).collect(), last, 110);
@@ -344,10 +344,11 @@ fn another_history_is_sent_from_its_first_check() {
     let checks = payloads(&all, "check");
     let numbers: Vec<_> = checks
         .iter()
-        .map(|of| of["number"].as_i64().unwrap())
+        .map(|check| check["number"].as_i64().unwrap())
         .collect();
     assert_eq!(numbers, [1, 2, 3, 1, 2, 3, 4]);
-    let ids: std::collections::HashSet<_> = checks.iter().map(|of| of["id"].as_str()).collect();
+    let ids: std::collections::HashSet<_> =
+        checks.iter().map(|check| check["id"].as_str()).collect();
     assert_eq!(ids.len(), 7);
 }
 
@@ -409,18 +410,18 @@ fn what_goes_over_a_network_is_encrypted_and_goes_to_the_right_broker_alone() {
     };
     let ca = |name: &str| format!("login = \"login.toml\"\nca = \"{folder}/{name}.pem\"");
     write("secret word", "644");
-    let said = station.plant(tls, 3600, &ca("plant")).says("chmod 600");
-    assert!(!said.contains("secret"), "{said}");
+    let message = station.plant(tls, 3600, &ca("plant")).says("chmod 600");
+    assert!(!message.contains("secret"), "{message}");
     write("secret word", "600");
     let mut wrong = station.plant(tls, 3600, &ca("other"));
     wrong.says("agree on TLS with the broker");
     drop(wrong);
     write("guess", "600");
     let mut wrong = station.plant(tls, 3600, &ca("plant"));
-    let said = wrong.says("the broker refuses the connection");
+    let message = wrong.says("the broker refuses the connection");
     assert!(
-        said.contains("NotAuthorized") && !said.contains("guess"),
-        "{said}"
+        message.contains("NotAuthorized") && !message.contains("guess"),
+        "{message}"
     );
     drop(wrong);
     assert_eq!(station.delivered(), 0);
@@ -449,8 +450,8 @@ fn what_a_broker_refuses_is_not_taken_for_delivered() {
     Press::new(&station.history()).check("die", 40, Word::Go);
     wait_for(|| std::net::TcpStream::connect(("127.0.0.1", station.port)).ok());
     let mut plant = station.plant(station.port, 3600, "");
-    let said = plant.says("refuses");
-    assert!(said.contains("die/check: NotAuthorized"), "{said}");
+    let message = plant.says("refuses");
+    assert!(message.contains("die/check: NotAuthorized"), "{message}");
     assert_eq!(station.delivered(), 0);
 }
 
@@ -514,15 +515,15 @@ fn settings_that_would_send_in_clear_or_to_nowhere_are_refused() {
         (&format!("{here}\nlogin = \"none.toml\""), "none.toml"),
         (&format!("{here}\npassword = \"a\""), "unknown field"),
     ] {
-        let said = refused(mqtt);
-        assert!(said.contains(why), "{mqtt}: {said}");
+        let message = refused(mqtt);
+        assert!(message.contains(why), "{mqtt}: {message}");
     }
     let delivered = folder.path().join("delivered.toml");
     std::fs::write(&delivered, "number = 3\n").unwrap();
-    let said = refused(here);
+    let message = refused(here);
     assert!(
-        said.contains("delivered.toml:1") && said.contains("sent again"),
-        "{said}"
+        message.contains("delivered.toml:1") && message.contains("sent again"),
+        "{message}"
     );
     std::fs::remove_file(&delivered).unwrap();
     std::fs::create_dir(&delivered).unwrap();

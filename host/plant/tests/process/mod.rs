@@ -37,16 +37,16 @@ impl Plant {
 
     /// Waits until it says this, and returns all that it said.
     pub fn says(&mut self, wanted: &str) -> String {
-        let mut said = String::new();
+        let mut printed = String::new();
         let end = Instant::now() + AT_MOST;
-        while !said.contains(wanted) {
-            let rest = end.saturating_duration_since(Instant::now());
-            match self.words.recv_timeout(rest) {
-                Ok(line) => said += &line,
-                Err(_) => panic!("no '{wanted}' in {said}"),
+        while !printed.contains(wanted) {
+            let remaining = end.saturating_duration_since(Instant::now());
+            match self.words.recv_timeout(remaining) {
+                Ok(line) => printed += &line,
+                Err(_) => panic!("no '{wanted}' in {printed}"),
             }
         }
-        said
+        printed
     }
 
     pub fn lives(&mut self) -> bool {
