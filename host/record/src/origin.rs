@@ -8,7 +8,7 @@ use flankscope_foundation::date::Date;
 use serde::Serialize;
 
 /// Links of results that were made from recorded frames and recorded clouds.
-pub(crate) const RECORDED_LINKS: [&str; 2] = ["recorded frames", "recorded clouds"];
+pub const RECORDED_LINKS: [&str; 2] = ["recorded frames", "recorded clouds"];
 
 /// Kind of controller or recording behind an instrument.
 #[derive(Clone, Debug, PartialEq, Eq)]
