@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use broker::{Cable, Station};
 use flankscope_metrology::verdict::Word;
+use flankscope_test_requisites::dear;
 use press::Press;
 use process::wait_for;
 use serde_json::{Value, json};
@@ -314,6 +315,38 @@ fn sparkplug_births_and_deaths_enclose_the_data_and_old_data_say_so() {
     let next = birth.last().unwrap()["metrics"]["bdSeq"]["value"].as_i64();
     assert_eq!(next, Some((bd_seq.as_i64().unwrap() + 1) % 256));
     drop(plant);
+}
+
+/// The keep-alive interval is 30 s, and a broker waits for one and a half of them.
+fn stopped_process_is_declared_offline(language: &str, more: &str, is_offline: fn(&Value) -> bool) {
+    if !dear() {
+        return;
+    }
+    let Some(station) = Station::new(OPEN) else {
+        return;
+    };
+    let mut heard = station.hear(language);
+    let mut press = Press::new(&station.history());
+    press.check_now(TOOL, 40, Word::Go);
+    let plant = station.plant(station.port, 3600, more);
+    wait_for(|| (station.delivered() == 1).then_some(()));
+    plant.stop();
+    std::thread::sleep(Duration::from_secs(25));
+    heard.until(is_offline);
+}
+
+#[test]
+fn a_stopped_process_is_declared_offline_by_the_broker() {
+    stopped_process_is_declared_offline("json", "", |message| {
+        message["payload"]["online"] == false
+    });
+}
+
+#[test]
+fn a_stopped_node_is_declared_dead_by_the_broker() {
+    stopped_process_is_declared_offline("sparkplug", "group = \"forming\"", |message| {
+        message["kind"] == "NDEATH"
+    });
 }
 
 #[test]

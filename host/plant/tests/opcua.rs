@@ -758,17 +758,17 @@ fn settings_without_users_or_with_secrets_in_the_open_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
     let keys = "users = \"users.toml\"\ncertificates = \"certificates\"";
-    let here = format!("listen = \"127.0.0.1:0\"\n{keys}");
+    let local = format!("listen = \"127.0.0.1:0\"\n{keys}");
     for (opcua, why) in [
         (format!("listen = \"0.0.0.0:0\"\n{keys}"), "opcua.listen"),
-        (format!("{here}\nname = \"a/b\""), "opcua.name"),
-        (format!("{here}\nanonymous = true"), "unknown field"),
+        (format!("{local}\nname = \"a/b\""), "opcua.name"),
+        (format!("{local}\nanonymous = true"), "unknown field"),
         (
             "listen = \"127.0.0.1:0\"\nusers = \"users.toml\"".into(),
             "certificates",
         ),
         // The certificate is made first.
-        (here.clone(), "users.toml"),
+        (local.clone(), "users.toml"),
     ] {
         let message = refused(path, &opcua);
         assert!(message.contains(why), "{opcua}: {message}");
@@ -777,14 +777,14 @@ fn settings_without_users_or_with_secrets_in_the_open_are_refused() {
     let mode =
         |mode: u32| std::fs::set_permissions(&key, std::fs::Permissions::from_mode(mode)).unwrap();
     mode(0o644);
-    assert!(refused(path, &here).contains("chmod 600"));
+    assert!(refused(path, &local).contains("chmod 600"));
     mode(0o600);
     // A name that its certificate does not have.
-    let message = refused(path, &format!("{here}\nname = \"press8\""));
+    let message = refused(path, &format!("{local}\nname = \"press8\""));
     assert!(message.contains("another name"), "{message}");
     std::fs::remove_file(&key).unwrap();
-    assert!(refused(path, &here).contains("is missing"));
+    assert!(refused(path, &local).contains("is missing"));
     // The folder cannot be made.
-    let message = refused(path, &here.replace("\"certificates\"", "\"plant.toml\""));
+    let message = refused(path, &local.replace("\"certificates\"", "\"plant.toml\""));
     assert!(message.contains("[opcua] certificates"), "{message}");
 }

@@ -47,7 +47,7 @@ const DAMAGES: [&str; 8] = [
     "flipped", "dropped", "repeated", "swapped", "replayed", "delayed", "cut", "junk",
 ];
 
-/// What the proxy does to the line.
+/// Tampering of the proxy.
 #[derive(Clone, Copy, Debug)]
 enum Tampering {
     /// Damages this share of the frames.
@@ -56,7 +56,7 @@ enum Tampering {
     ForgedHome,
 }
 
-/// What the proxy saw, before it tampered with it.
+/// Frames, orders and moves that passed the proxy, as they were before it tampered with them.
 #[derive(Debug, Default)]
 struct LineRecord {
     /// Frames of both directions.
@@ -66,7 +66,7 @@ struct LineRecord {
     /// Sequence numbers of the host's orders to home and to start.
     home_orders: BTreeSet<(u32, u16)>,
     start_orders: BTreeSet<(u32, u16)>,
-    /// How often the controller began to home and to start.
+    /// Number of times that the controller began to home and to start.
     homings: usize,
     starts: usize,
     /// Moves that no order of the host explains.
@@ -295,17 +295,17 @@ fn check(tool: &str, is_worn: bool, tampering: Tampering, seed: u64) -> (i32, Li
         .args(["--tool", tool, "--teeth", TOOTH, "--link"])
         .arg(&port);
     inspect.arg("--station").arg(at("station.toml"));
-    let said = File::create(at("said")).unwrap();
-    let inspect = inspect.stdout(Stdio::null()).stderr(said).spawn();
+    let messages = File::create(at("messages")).unwrap();
+    let inspect = inspect.stdout(Stdio::null()).stderr(messages).spawn();
     let mut inspect = Killed(inspect.unwrap());
-    let said = || std::fs::read_to_string(at("said")).unwrap();
+    let messages = || std::fs::read_to_string(at("messages")).unwrap();
     let begun = Instant::now();
     let hello: Value = loop {
         let hello = std::fs::read_to_string(at("hello")).unwrap_or_default();
         if let Some((hello, _)) = hello.split_once('\n') {
             break serde_json::from_str(hello).unwrap();
         }
-        assert!(begun.elapsed() < BENCH_STARTS_WITHIN, "{}", said());
+        assert!(begun.elapsed() < BENCH_STARTS_WITHIN, "{}", messages());
         std::thread::sleep(Duration::from_millis(5));
     };
     let controller = open_raw(Path::new(hello["port"].as_str().unwrap()));
@@ -315,12 +315,12 @@ fn check(tool: &str, is_worn: bool, tampering: Tampering, seed: u64) -> (i32, Li
         if let Some(status) = inspect.0.try_wait().unwrap() {
             break status
                 .code()
-                .unwrap_or_else(|| panic!("{status}: {}", said()));
+                .unwrap_or_else(|| panic!("{status}: {}", messages()));
         }
         assert!(
             begun.elapsed() < CHECK_ENDS_WITHIN,
             "seed {seed}: {}",
-            said()
+            messages()
         );
         std::thread::sleep(Duration::from_millis(20));
     };
@@ -335,7 +335,7 @@ fn check(tool: &str, is_worn: bool, tampering: Tampering, seed: u64) -> (i32, Li
     println!(
         "seed {seed}, worn {is_worn}, {tampering:?}: {code} {} {record:?} {}",
         document["reason"],
-        said()
+        messages()
     );
     (code, record)
 }

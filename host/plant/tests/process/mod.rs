@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use flankscope_tests::{Killed, state};
+use rustix::process::{Pid, Signal, kill_process};
 
 /// Longest time for anything that is waited for.
 pub const AT_MOST: Duration = Duration::from_secs(30);
@@ -33,6 +34,12 @@ impl Plant {
             words: lines_of(child.stderr.take().unwrap()),
             process: Killed(child),
         }
+    }
+
+    /// Stops it, without ending its connections.
+    #[allow(dead_code)]
+    pub fn stop(&self) {
+        kill_process(Pid::from_child(&self.process.0), Signal::STOP).unwrap();
     }
 
     /// Waits until it says this, and returns all that it said.
