@@ -14,7 +14,6 @@
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
-use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -243,7 +242,7 @@ fn pseudo_terminal() -> (File, File, PathBuf) {
     let name = ptsname(&master, Vec::new()).unwrap();
     let name = PathBuf::from(name.to_str().unwrap());
     let slave = open_raw(&name);
-    (File::from(OwnedFd::from(master)), slave, name)
+    (File::from(master), slave, name)
 }
 
 fn open_raw(port: &Path) -> File {
@@ -353,7 +352,7 @@ fn tampering_with_the_line_makes_no_verdict_and_no_move() {
             if number >= checks {
                 return ended;
             }
-            let is_worn = number % 2 == 0;
+            let is_worn = number.is_multiple_of(2);
             let rate = match number {
                 // The proxy itself makes no difference.
                 0 | 1 => 0.0,
