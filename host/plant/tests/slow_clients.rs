@@ -32,7 +32,7 @@ fn main() {
     campaign(Duration::from_secs(seconds.unwrap_or(10)));
 }
 
-/// What a client sends, and then byte after byte.
+/// Bytes that a client sends, and those that it holds back.
 #[derive(Clone, Copy)]
 enum Manner {
     Silent,
@@ -135,11 +135,11 @@ fn campaign(length: Duration) {
                 client.begin(plant.page);
             }
         }
-        let asked = Instant::now();
+        let question = Instant::now();
         assert_eq!(plant.with_token("/metrics").status, 200);
-        let scraped = asked.elapsed();
+        let scraped = question.elapsed();
         assert_eq!(plant.registers().len(), 10);
-        let answered = asked.elapsed() - scraped;
+        let answered = question.elapsed() - scraped;
         slowest = slowest.max(scraped).max(answered);
         assert!(scraped < ANSWER_WITHIN, "scrape after {scraped:?}");
         assert!(answered < ANSWER_WITHIN, "registers after {answered:?}");
