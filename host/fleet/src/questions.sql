@@ -109,11 +109,12 @@ WHERE together_at = die_at AND flank IS NOT NULL;
 
 -- name: presses
 -- The last check of every station, with the flank that is nearest to its limit. Within a history numbers tell which check is the last, because a clock may have been set back.
-SELECT station, simulated, history, epoch, check_number, date, stored_at, tool, serial, tool_cycles, check_verdict, reason,
+SELECT station, link, simulated, history, epoch, check_number, date, stored_at, tool, serial, tool_cycles, check_verdict, reason,
     tooth, flank, patch, wear_um, u95_um, limit_um
 FROM (
     SELECT *, row_number() OVER (PARTITION BY station
-        ORDER BY stored_at DESC, check_number DESC, limit_um - wear_um NULLS LAST, tooth, flank, patch) AS place_in_station
+        -- A recording is not the state of the press.
+        ORDER BY link IN ('recorded frames', 'recorded clouds'), stored_at DESC, check_number DESC, limit_um - wear_um NULLS LAST, tooth, flank, patch) AS place_in_station
     FROM last_checks
 )
 WHERE place_in_station = 1

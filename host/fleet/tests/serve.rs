@@ -11,6 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use flankscope_fleet::lake::Lake;
+use flankscope_fleet::rows::LakeCheck;
 use jiff::Timestamp;
 use made_up::{MadeUp, Maker};
 
@@ -131,6 +132,14 @@ fn every_press_stands_where_it_is_with_what_is_known_of_it_now() {
         let check = made_up(station, now() - minutes_ago, &[12.0, 31.5, 7.0]);
         maker.put(&lake, &[check]);
     }
+    // Frames that are evaluated again, in the history of one press and in another one of a second press.
+    maker.verdict = "go";
+    let recorded = |_: usize, check: &mut LakeCheck| check.set("link", "recorded frames".into());
+    let again = made_up("press 6", now(), &[12.0]);
+    maker.put(&lake, std::slice::from_ref(&again));
+    maker.put_changed(&lake, &[again], recorded);
+    maker.history = 2;
+    maker.put_changed(&lake, &[made_up("press 2", now(), &[12.0])], recorded);
     let map = folder.path().join("hall.csv");
     std::fs::write(&map, "press 1;;press 3\r\n;press 9;press 2\r\n").unwrap();
     let path = folder.path().join("lake");
@@ -143,6 +152,7 @@ fn every_press_stands_where_it_is_with_what_is_known_of_it_now() {
         ("press 3", "old", Some((1, 3))),
         ("press 4", "old", None),
         ("press 5", "indeterminate", None),
+        ("press 6", "old", None),
         ("press 9", "old", Some((2, 2))),
         ("press &#60;b&#62;&#38;&#34;7&#34;/ä", "warn", None),
     ] {
@@ -155,6 +165,7 @@ fn every_press_stands_where_it_is_with_what_is_known_of_it_now() {
     assert!(!board.contains("<b>"), "{board}");
     assert!(tile(&board, "press 2").contains("tooth 2 left: 31.5 ± 4.0 µm of 50.0"));
     assert!(tile(&board, "press 3").contains("was go"));
+    assert!(tile(&board, "press 6").contains("a recording"));
     assert!(tile(&board, "press 4").contains("clock is ahead"));
     // Off the map the worst comes first.
     let at = |station: &str| board.find(&format!("<strong>{station}")).unwrap();

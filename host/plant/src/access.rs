@@ -115,8 +115,8 @@ impl Users {
 
     /// The hashes, as the file has them.
     fn hashed(&self) -> Result<Vec<Hash>, BadValue> {
-        let hash = |of: &User| {
-            let hex = &of.token_blake3;
+        let hash = |user: &User| {
+            let hex = &user.token_blake3;
             let expected = "must be a BLAKE3 hash of 64 hexadecimal digits";
             Hash::from_hex(hex).map_err(|_| BadValue::new("user.token_blake3", hex, expected))
         };
@@ -196,8 +196,8 @@ impl Users {
     pub fn of_token(&self, token: &str) -> Option<&User> {
         let hash = blake3::hash(token.as_bytes());
         let mut found = None;
-        for (user, of) in self.user.iter().zip(&self.hashes) {
-            if *of == hash {
+        for (user, user_hash) in self.user.iter().zip(&self.hashes) {
+            if *user_hash == hash {
                 found = Some(user);
             }
         }
@@ -229,7 +229,7 @@ struct Version {
 }
 
 impl Version {
-    fn of(path: &Path) -> Result<Self, UsersError> {
+    fn of_file(path: &Path) -> Result<Self, UsersError> {
         let meta = std::fs::metadata(path).map_err(failed(path))?;
         Ok(Self {
             inode: meta.ino(),
@@ -247,7 +247,7 @@ impl UsersFile {
     /// As of [`Users::load`].
     pub fn open(path: &Path) -> Result<Self, UsersError> {
         // The version first: whoever writes between is noticed at the next look.
-        let version = Version::of(path)?;
+        let version = Version::of_file(path)?;
         let users = Arc::new(Users::load(path)?);
         Ok(Self {
             path: path.into(),
@@ -261,7 +261,7 @@ impl UsersFile {
     /// # Errors
     /// As of [`Users::load`]: what cannot be read lets nobody in.
     pub fn now(&self) -> Result<Arc<Users>, UsersError> {
-        let version = Version::of(&self.path)?;
+        let version = Version::of_file(&self.path)?;
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
         if read.0 != version {
             *read = (version, Arc::new(Users::load(&self.path)?));

@@ -186,16 +186,16 @@ fn a_no_go_that_was_known_stays_while_the_history_is_gone() {
     let gone = scene
         .look(&moment(100))
         .with_fault("gone", &[no_go("die", 6)]);
-    let said = gone.statement(&moment(500));
+    let statement = gone.statement(&moment(500));
     assert_eq!(
-        (said.verdict, said.open_no_gos[0].check),
+        (statement.verdict, statement.open_no_gos[0].check),
         (Some(Word::NoGo), 7)
     );
     // A process that has not read it yet has the station's memory.
     let unread = Standing::unread(Duration::from_secs(60)).with_fault("gone", &[no_go("die", 6)]);
-    let said = unread.statement(&moment(0));
+    let statement = unread.statement(&moment(0));
     assert_eq!(
-        (said.verdict, said.open_no_gos[0].check),
+        (statement.verdict, statement.open_no_gos[0].check),
         (Some(Word::NoGo), 6)
     );
 }
@@ -208,7 +208,9 @@ enum Incident {
     /// A go of another die.
     OtherGo,
     /// Recorded frames are evaluated, with go.
-    Recording,
+    RecordedGo,
+    /// Recorded frames are evaluated, with no-go.
+    RecordedNoGo,
     /// A person acknowledges the newest no-go.
     Acknowledge,
     /// The process that follows the history is stopped, and after a long time runs on: no look happens in between.
@@ -224,11 +226,12 @@ enum Incident {
     HistoryGone,
 }
 
-const INCIDENTS: [Incident; 12] = [
+const INCIDENTS: [Incident; 13] = [
     Incident::Go,
     Incident::NoGo,
     Incident::OtherGo,
-    Incident::Recording,
+    Incident::RecordedGo,
+    Incident::RecordedNoGo,
     Incident::Acknowledge,
     Incident::FreezeAndThaw,
     Incident::Wait,
@@ -294,7 +297,7 @@ impl World {
     /// Puts the newest checks of a die first, as the history lists them.
     fn store(&mut self, die: usize, checks: LastChecks) {
         let tools = &mut self.scene.facts.tools;
-        tools.retain(|(known, _)| known.die.tool != DIES[die]);
+        tools.retain(|(checks, _)| checks.die.tool != DIES[die]);
         tools.insert(0, (checks, Vec::new()));
         self.next_check += 1;
         self.scene.facts.newest_date = Some(self.now().wall.to_string());
@@ -306,9 +309,9 @@ impl World {
             Incident::Go => self.check(0, Word::Go),
             Incident::NoGo => self.check(0, Word::NoGo),
             Incident::OtherGo => self.check(1, Word::Go),
-            Incident::Recording => {
+            Incident::RecordedGo | Incident::RecordedNoGo => {
                 let tools = &mut self.scene.facts.tools;
-                let mut checks = tools.iter().find(|(known, _)| known.die.tool == DIES[0]);
+                let mut checks = tools.iter().find(|(checks, _)| checks.die.tool == DIES[0]);
                 let mut recorded = checks.take().map_or_else(
                     || LastChecks {
                         die: key(DIES[0]),
@@ -319,7 +322,11 @@ impl World {
                     |(checks, _)| checks.clone(),
                 );
                 let (id, now) = (self.next_check, self.now());
-                recorded.recording = Some(row(id, DIES[0], Word::Go, &now, "recorded frames"));
+                let verdict = match incident {
+                    Incident::RecordedNoGo => Word::NoGo,
+                    _ => Word::Go,
+                };
+                recorded.recording = Some(row(id, DIES[0], verdict, &now, "recorded frames"));
                 self.store(0, recorded);
                 let checked = |(checks, _): &(LastChecks, _)| checks.check.as_ref().map(|c| c.id);
                 let tools = &mut self.scene.facts.tools;
@@ -377,6 +384,12 @@ fn verify(world: &World, path: &[Incident]) -> bool {
         let is_said = outlets_say_good(&station, &die.last.tool);
         assert!(is_good || !is_said, "{path:?}: {die:?}");
         is_good_said |= is_said;
+        // A no-go comes from the press, never from a recording.
+        let is_no_go = is_open || world.last[at].is_some_and(|(_, verdict)| verdict == Word::NoGo);
+        assert!(
+            is_no_go || die.verdict != Some(Word::NoGo),
+            "{path:?}: {die:?}"
+        );
     }
     let go = crate::modbus::words(&station, 0);
     let first = station.dies.first();
@@ -440,7 +453,7 @@ fn no_sequence_of_events_makes_an_outlet_say_good_of_what_is_not() {
     let mut counts = [0; 2];
     explore(&World::new(), &mut Vec::new(), DEPTH, &mut counts);
     let [tried, good] = counts;
-    assert_eq!(tried, (1..=5).map(|n| 12_u64.pow(n)).sum::<u64>());
+    assert_eq!(tried, (1..=5).map(|n| 13_u64.pow(n)).sum::<u64>());
     // It is not silent either.
     assert!(good > tried / 20, "{good} of {tried}");
 }

@@ -102,10 +102,15 @@ impl WrittenFiles {
         let mut journal = database.as_os_str().to_owned();
         journal.push("-wal");
         let state = |path: &Path| {
-            let of = std::fs::metadata(path).ok()?;
-            let file = [of.dev().cast_signed(), of.ino().cast_signed()];
-            let size = of.len().cast_signed();
-            let times = [of.mtime(), of.mtime_nsec(), of.ctime(), of.ctime_nsec()];
+            let metadata = std::fs::metadata(path).ok()?;
+            let file = [metadata.dev().cast_signed(), metadata.ino().cast_signed()];
+            let size = metadata.len().cast_signed();
+            let times = [
+                metadata.mtime(),
+                metadata.mtime_nsec(),
+                metadata.ctime(),
+                metadata.ctime_nsec(),
+            ];
             // A reader creates an empty journal.
             (size > 0).then_some([
                 file[0], file[1], size, times[0], times[1], times[2], times[3],
@@ -116,8 +121,8 @@ impl WrittenFiles {
 }
 
 fn file_of(path: &Path) -> Option<[u64; 2]> {
-    let of = std::fs::metadata(path).ok()?;
-    Some([of.dev(), of.ino()])
+    let metadata = std::fs::metadata(path).ok()?;
+    Some([metadata.dev(), metadata.ino()])
 }
 
 /// What identifies a check in all histories: BLAKE3 of its number, its time and its document.

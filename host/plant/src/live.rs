@@ -94,8 +94,8 @@ fn read(stream: UnixStream, publish: &watch::Sender<Live>) -> io::Result<()> {
             let why = format!("a line of more than {MOST_LIVE_BYTES} bytes");
             return Err(io::Error::new(io::ErrorKind::InvalidData, why));
         }
-        let said = serde_json::from_slice(&line)?;
-        publish.send_modify(|live| live.take(said));
+        let statement = serde_json::from_slice(&line)?;
+        publish.send_modify(|live| live.take(statement));
     }
     Ok(())
 }
@@ -112,7 +112,7 @@ mod tests {
 
     use super::*;
 
-    fn said(sequence: u64, shown: &str, said_at: &BootTime) -> LiveLine {
+    fn statement(sequence: u64, shown: &str, said_at: &BootTime) -> LiveLine {
         let mut state = LiveState::new("press 7".into(), "die".into(), true, HeadDates::default());
         shown.clone_into(&mut state.shown);
         (state.sequence, state.said_at) = (sequence, Some(said_at.clone()));
@@ -127,24 +127,24 @@ mod tests {
             since_boot_ms: 1000 * s,
         };
         let mut live = Live::default();
-        live.take(said(1, "go", &second(100)));
+        live.take(statement(1, "go", &second(100)));
         for (now_s, holds) in [(100, true), (104, true), (105, false), (400, false)] {
             assert_eq!(live.current(&second(now_s)).is_some(), holds, "{now_s} s");
         }
         // A watch or a process that was stopped delivers what it said before.
-        live.take(said(2, "go", &second(101)));
+        live.take(statement(2, "go", &second(101)));
         assert!(live.current(&second(110)).is_none());
-        live.take(said(3, "no-go", &second(109)));
+        live.take(statement(3, "no-go", &second(109)));
         assert_eq!(live.current(&second(110)).unwrap().shown, "no-go");
         assert_eq!(live.valid_for(&second(110)), Duration::from_secs(4));
         // An older statement does not replace a newer one.
-        live.take(said(2, "go", &second(109)));
+        live.take(statement(2, "go", &second(109)));
         assert_eq!(live.current(&second(110)).unwrap().shown, "no-go");
         // A statement of another start of the computer, of the future, or of a watch that does not say when.
         let mut other = second(109);
         other.boot = "another start".into();
         for moment in [other, second(200)] {
-            live.take(said(4, "go", &moment));
+            live.take(statement(4, "go", &moment));
             assert!(live.current(&second(110)).is_none());
             live = Live::default();
         }

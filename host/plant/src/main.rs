@@ -178,15 +178,15 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate())?;
         let mut tasks = tokio::task::JoinSet::new();
-        if let Some(of) = &settings.page {
-            let users = UsersFile::open(&of.users)?;
-            let encryption = Encryption::of(of)?;
-            let listener = TcpListener::bind(of.listen)
+        if let Some(page) = &settings.page {
+            let users = UsersFile::open(&page.users)?;
+            let encryption = Encryption::for_page(page)?;
+            let listener = TcpListener::bind(page.listen)
                 .await
-                .with_context(|| format!("[page] listen = \"{}\"", of.listen))?;
+                .with_context(|| format!("[page] listen = \"{}\"", page.listen))?;
             let address = listener.local_addr()?;
             let scheme = encryption.scheme();
-            let names = Names::new(address, of.name.as_deref(), encryption.is_on());
+            let names = Names::new(address, page.name.as_deref(), encryption.is_on());
             let live = live::follow(&settings.history)?;
             let site = page::Site::new(
                 settings,
@@ -199,25 +199,25 @@ fn serve(settings: &Settings) -> anyhow::Result<()> {
             let routes = page::routes(Arc::new(site));
             tasks.spawn(listener::serve(listener, encryption, routes));
         }
-        if let Some(of) = &settings.modbus {
-            let listener = TcpListener::bind(of.listen)
+        if let Some(modbus) = &settings.modbus {
+            let listener = TcpListener::bind(modbus.listen)
                 .await
-                .with_context(|| format!("[modbus] listen = \"{}\"", of.listen))?;
+                .with_context(|| format!("[modbus] listen = \"{}\"", modbus.listen))?;
             println!("modbus   {}", listener.local_addr()?);
             tasks.spawn(modbus::serve(listener, standing.clone()));
         }
         #[cfg(feature = "mqtt")]
-        if let Some(of) = &settings.mqtt {
-            let sender = mqtt::Sender::new(settings, of, seals.clone(), standing.clone())?;
-            println!("mqtt     {}", of.broker);
+        if let Some(mqtt) = &settings.mqtt {
+            let sender = mqtt::Sender::new(settings, mqtt, seals.clone(), standing.clone())?;
+            println!("mqtt     {}", mqtt.broker);
             tasks.spawn(sender.run());
         }
         #[cfg(feature = "opcua")]
-        if let Some(of) = &settings.opcua {
-            let server = opcua::OpcuaServer::new(settings, of, seals, standing)?;
-            let listener = TcpListener::bind(of.listen)
+        if let Some(opcua) = &settings.opcua {
+            let server = opcua::OpcuaServer::new(settings, opcua, seals, standing)?;
+            let listener = TcpListener::bind(opcua.listen)
                 .await
-                .with_context(|| format!("[opcua] listen = \"{}\"", of.listen))?;
+                .with_context(|| format!("[opcua] listen = \"{}\"", opcua.listen))?;
             println!("opcua    opc.tcp://{}/", listener.local_addr()?);
             tasks.spawn(server.run(listener));
         }

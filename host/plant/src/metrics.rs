@@ -117,7 +117,7 @@ pub fn text(station: &StationStatement, live: Option<&LiveState>) -> Result<Stri
     set(&open, Vec::new(), station.open_no_gos.len() as f64);
     set(&stale_after, Vec::new(), station.stale_after.as_secs_f64());
     if let Some(live) = live {
-        let of = || {
+        let labels_of_watch = || {
             vec![
                 ("tool", live.tool.clone()),
                 ("station", live.station.clone()),
@@ -128,39 +128,47 @@ pub fn text(station: &StationStatement, live: Option<&LiveState>) -> Result<Stri
             (&self_test, live.head.self_test_due),
         ] {
             if let Some(day) = day {
-                set(family, of(), day.begins_s() as f64);
+                set(family, labels_of_watch(), day.begins_s() as f64);
             }
         }
         for (family, count) in [
             (&frames, live.made.frames_triggered),
             (&lost, live.made.frames_lost),
         ] {
-            family.get_or_create_owned(&of()).inc_by(count);
+            family.get_or_create_owned(&labels_of_watch()).inc_by(count);
         }
     }
     for die in &station.dies {
         let last = &die.last;
-        let of = || {
+        let labels_of_die = || {
             vec![
                 ("tool", last.tool.clone()),
                 ("station", last.origin.station.clone()),
             ]
         };
-        let with =
-            |name, value: String| of().into_iter().chain([(name, value)]).collect::<Labels>();
-        set(&counts_now, of(), flag(die.worth == Worth::Counts));
-        set(&latched, of(), flag(die.latched.is_some()));
-        set(&cycles, of(), last.tool_cycles as f64);
+        let with = |name, value: String| {
+            labels_of_die()
+                .into_iter()
+                .chain([(name, value)])
+                .collect::<Labels>()
+        };
+        set(
+            &counts_now,
+            labels_of_die(),
+            flag(die.worth == Worth::Counts),
+        );
+        set(&latched, labels_of_die(), flag(die.latched.is_some()));
+        set(&cycles, labels_of_die(), last.tool_cycles as f64);
         if let Ok(stored) = last.at.parse::<jiff::Timestamp>() {
-            set(&at, of(), stored.as_second() as f64);
+            set(&at, labels_of_die(), stored.as_second() as f64);
         }
         for (family, moment) in [(&exposed, die.exposed_at), (&until, die.counts_until)] {
             if let Some(moment) = moment {
-                set(family, of(), moment.as_second() as f64);
+                set(family, labels_of_die(), moment.as_second() as f64);
             }
         }
         if let Some(since) = die.age {
-            set(&age, of(), since.as_secs_f64());
+            set(&age, labels_of_die(), since.as_secs_f64());
         }
         if let Some(doubt) = die.worth.doubt() {
             set(&doubtful, with("reason", doubt.word().into()), 1.0);
@@ -169,7 +177,7 @@ pub fn text(station: &StationStatement, live: Option<&LiveState>) -> Result<Stri
             let labels = with("verdict", word.as_str().into());
             set(&verdict, labels.clone(), flag(word == last.verdict));
             set(&stands, labels.clone(), flag(die.verdict == Some(word)));
-            let count = die.counts.iter().find(|(of, _)| *of == word);
+            let count = die.counts.iter().find(|(counted, _)| *counted == word);
             let counter = checks.get_or_create_owned(&labels);
             counter.inc_by(count.map_or(0, |(_, count)| *count));
         }

@@ -159,7 +159,7 @@ mod tests {
             for verdict in Word::ALL {
                 for is_latched in [false, true] {
                     for has_fault in [false, true] {
-                        let of = (age_s, verdict, is_latched, has_fault);
+                        let case = (age_s, verdict, is_latched, has_fault);
                         let now = moment(1000);
                         let mut scene = Scene::new(60);
                         let last = check(70_000, "die", verdict, &moment_of(age_s));
@@ -176,15 +176,15 @@ mod tests {
                         let counts = is_fresh && !has_fault;
                         let is_open = is_latched || verdict == Word::NoGo;
                         let go = verdict == Word::Go && !is_open && counts;
-                        assert_eq!(words[0] & GO != 0, go, "{of:?}");
-                        assert_eq!(words[0] & LATCHED != 0, is_open, "{of:?}");
-                        assert_eq!(words[0] & (STALE | FAULT) == 0, counts, "{of:?}");
-                        assert_eq!(words[3] == 1, go, "{of:?}");
-                        assert_eq!(words[3] != 0, counts || is_open, "{of:?}");
-                        assert_eq!(words[0] & NO_GO != 0, is_open, "{of:?}");
+                        assert_eq!(words[0] & GO != 0, go, "{case:?}");
+                        assert_eq!(words[0] & LATCHED != 0, is_open, "{case:?}");
+                        assert_eq!(words[0] & (STALE | FAULT) == 0, counts, "{case:?}");
+                        assert_eq!(words[3] == 1, go, "{case:?}");
+                        assert_eq!(words[3] != 0, counts || is_open, "{case:?}");
+                        assert_eq!(words[0] & NO_GO != 0, is_open, "{case:?}");
                         if !has_fault {
                             // 70 000 = 0x1_1170.
-                            assert_eq!(words[4..6], [1, 0x1170], "{of:?}");
+                            assert_eq!(words[4..6], [1, 0x1170], "{case:?}");
                         }
                         assert_eq!([words[1], words[8], words[9]], [9, NO_WEAR, UNKNOWN]);
                     }

@@ -118,7 +118,7 @@ impl TryFrom<String> for Address {
             // An IPv6 number stands in brackets.
             let host = host
                 .strip_prefix('[')
-                .map_or(Some(host), |of| of.strip_suffix(']'))?;
+                .map_or(Some(host), |bracketed| bracketed.strip_suffix(']'))?;
             let is_host = !host.is_empty() && !host.contains(['/', '@', ' ']);
             is_host.then_some((host.to_owned(), port.parse().ok()?))
         });

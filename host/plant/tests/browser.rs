@@ -238,7 +238,7 @@ fn a_page_that_is_open_for_a_day_of_checks_does_not_grow() {
     let server_kb = plant.resident_kb();
     // A board that stayed would be more than a kilobyte in either, and a dozen elements.
     let boards_bytes = 1000.0 * f64::from(BOARDS * 9 / 10);
-    let [bytes, elements, listeners] = [0, 1, 2].map(|of| after[of] - before[of]);
+    let [bytes, elements, listeners] = [0, 1, 2].map(|counter| after[counter] - before[counter]);
     assert!(bytes < boards_bytes / 4.0, "{before:?} {after:?}");
     assert!(elements < 20.0 && listeners <= 0.0, "{before:?} {after:?}");
     assert!(

@@ -269,12 +269,12 @@ const LISTS: [&str; 9] = [
     "Attributes",
 ];
 
-fn children<'a>(of: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
-    of.children().filter(Node::is_element).collect()
+fn children<'a>(parent: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
+    parent.children().filter(Node::is_element).collect()
 }
 
-fn name<'a>(of: &Node<'a, 'a>) -> &'a str {
-    of.tag_name().name()
+fn name<'a>(node: &Node<'a, 'a>) -> &'a str {
+    node.tag_name().name()
 }
 
 /// Descendants of that name.
@@ -284,13 +284,15 @@ fn all<'a>(document: &'a Document<'a>, wanted: &str) -> Vec<Node<'a, 'a>> {
 }
 
 /// The text of a child.
-fn text<'a>(of: Node<'a, 'a>, child: &str) -> Option<&'a str> {
-    let found = children(of).into_iter().find(|node| name(node) == child);
+fn text<'a>(parent: Node<'a, 'a>, child: &str) -> Option<&'a str> {
+    let found = children(parent)
+        .into_iter()
+        .find(|node| name(node) == child);
     found.map(|node| node.text().unwrap())
 }
 
-fn attribute<'a>(of: Node<'a, 'a>, wanted: &str) -> Option<&'a str> {
-    let lists = children(of)
+fn attribute<'a>(parent: Node<'a, 'a>, wanted: &str) -> Option<&'a str> {
+    let lists = children(parent)
         .into_iter()
         .filter(|node| name(node) == "Attributes");
     let mut found = lists.flat_map(children);
@@ -327,19 +329,19 @@ fn check_structure(document: &Document<'_>) {
         }
         let order: Vec<_> = sequence
             .iter()
-            .map(|of| of.trim_start_matches('!'))
+            .map(|child| child.trim_start_matches('!'))
             .collect();
         let places: Vec<_> = names
             .iter()
-            .map(|of| {
+            .map(|child| {
                 order
                     .iter()
-                    .position(|known| known == of)
-                    .unwrap_or_else(|| panic!("{of} in {}", name(&node)))
+                    .position(|allowed| allowed == child)
+                    .unwrap_or_else(|| panic!("{child} in {}", name(&node)))
             })
             .collect();
         assert!(places.is_sorted(), "{}: {names:?}", name(&node));
-        for required in sequence.iter().filter_map(|of| of.strip_prefix('!')) {
+        for required in sequence.iter().filter_map(|child| child.strip_prefix('!')) {
             assert!(names.contains(&required), "{}: no {required}", name(&node));
         }
         let may_repeat = LISTS.contains(&name(&node));
@@ -421,19 +423,19 @@ fn qif_documents_have_the_schemas_structure_and_the_historys_figures() {
             Some("S/N 4711")
         );
         let status = all(&document, "InspectionStatusEnum");
-        assert!(status.len() == 2 && status.iter().all(|of| of.text() == Some("FAIL")));
+        assert!(status.len() == 2 && status.iter().all(|node| node.text() == Some("FAIL")));
         assert_eq!(all(&document, "Factor")[0].text(), Some("0.001"));
         let limits: Vec<_> = all(&document, "MaxValue")
             .iter()
-            .map(|of| of.text().unwrap())
+            .map(|node| node.text().unwrap())
             .collect();
         assert_eq!(limits, ["0.050000"; 3]);
-        let of = all(&document, "UserDefinedLinearCharacteristicMeasurement");
+        let measurements = all(&document, "UserDefinedLinearCharacteristicMeasurement");
         // By tooth: the patch is the first of its tool's file.
-        let found: Vec<_> = of
+        let found: Vec<_> = measurements
             .iter()
-            .map(|of| {
-                let item = text(*of, "CharacteristicItemId").unwrap();
+            .map(|measurement| {
+                let item = text(*measurement, "CharacteristicItemId").unwrap();
                 let items = all(&document, "UserDefinedLinearCharacteristicItem");
                 let item = items
                     .into_iter()
@@ -444,9 +446,9 @@ fn qif_documents_have_the_schemas_structure_and_the_historys_figures() {
                 };
                 (
                     designator.text().unwrap(),
-                    text(children(*of)[1], "CharacteristicStatusEnum").unwrap(),
-                    text(*of, "Value"),
-                    attribute(*of, "U95"),
+                    text(children(*measurement)[1], "CharacteristicStatusEnum").unwrap(),
+                    text(*measurement, "Value"),
+                    attribute(*measurement, "U95"),
                 )
             })
             .collect();
@@ -566,14 +568,17 @@ fn dfq_files_state_every_field_and_a_flank_without_a_figure_has_no_value() {
     let characteristics = read["characteristics"].as_array().unwrap();
     let found: Vec<_> = characteristics
         .iter()
-        .map(|of| {
-            let values = of["values"].as_array().unwrap();
-            let value = values
-                .first()
-                .map(|of| (of["value"].as_str().unwrap(), of["attribute"].as_i64()));
+        .map(|characteristic| {
+            let values = characteristic["values"].as_array().unwrap();
+            let value = values.first().map(|value| {
+                (
+                    value["value"].as_str().unwrap(),
+                    value["attribute"].as_i64(),
+                )
+            });
             (
-                of["fields"]["K2001"].as_str().unwrap(),
-                of["fields"]["K2111"].as_str().unwrap(),
+                characteristic["fields"]["K2001"].as_str().unwrap(),
+                characteristic["fields"]["K2111"].as_str().unwrap(),
                 values.len(),
                 value,
             )
@@ -622,9 +627,9 @@ fn a_period_and_a_tool_choose_and_twice_gives_the_same_bytes() {
     let elsewhere = folder.path().join("elsewhere");
     let refused = |more: &[&str], word: &str| {
         let output = export(&history, &elsewhere, more);
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
-            output.status.code() == Some(3) && said.contains(word),
+            output.status.code() == Some(3) && message.contains(word),
             "{output:?}"
         );
         assert!(!elsewhere.exists(), "nothing is made");

@@ -83,7 +83,7 @@ fn check_for_ever(folder: &Path, state: &Path, seed: u64) {
             _ => Word::Indeterminate,
         };
         let mut check = inspection(TOOLS[tool], 40, verdict, 1);
-        // A wall clock that was an hour late at the exposure, or a folder of frames: never a fresh go.
+        // A wall clock that was an hour late at the exposure, or a folder of frames: never a fresh go. The frames latch nothing either.
         let mut counts = 1;
         match random.uniform() {
             u if u < 0.05 => {
@@ -98,12 +98,11 @@ fn check_for_ever(folder: &Path, state: &Path, seed: u64) {
         }
         let is_recording = u8::from(check.origin.link != "sim");
         check.last_exposure = Some(exposure);
-        note(format!("begin {tool} {verdict} {exposed_ms} {counts}\n"));
-        let id = press.put(check);
         note(format!(
-            "stored {tool} {verdict} {id} {} {is_recording}\n",
-            now_ms()
+            "begin {tool} {verdict} {exposed_ms} {counts} {is_recording}\n"
         ));
+        let id = press.put(check);
+        note(format!("stored {id} {}\n", now_ms()));
     }
 }
 
@@ -120,6 +119,13 @@ struct Noted {
     is_recording: bool,
 }
 
+impl Noted {
+    /// Whether it is a no-go that stands until it is acknowledged.
+    fn is_press_no_go(&self) -> bool {
+        self.verdict == "no-go" && !self.is_recording
+    }
+}
+
 fn ledger(folder: &Path) -> Vec<Noted> {
     let text = std::fs::read_to_string(folder.join("ledger")).unwrap_or_default();
     let mut checks: Vec<Noted> = Vec::new();
@@ -128,18 +134,17 @@ fn ledger(folder: &Path) -> Vec<Noted> {
     for line in whole.lines() {
         let words: Vec<&str> = line.split(' ').collect();
         match words[..] {
-            ["begin", tool, verdict, exposed_ms, counts] => checks.push(Noted {
+            ["begin", tool, verdict, exposed_ms, counts, is_recording] => checks.push(Noted {
                 tool: tool.parse().unwrap(),
                 verdict: verdict.into(),
                 exposed_ms: exposed_ms.parse().unwrap(),
                 counts: counts == "1",
                 stored: None,
-                is_recording: false,
+                is_recording: is_recording == "1",
             }),
-            ["stored", _, _, id, at_ms, is_recording] => {
+            ["stored", id, at_ms] => {
                 let check = checks.last_mut().unwrap();
                 check.stored = Some((id.parse().unwrap(), at_ms.parse().unwrap()));
-                check.is_recording = is_recording == "1";
             }
             _ => panic!("{line}"),
         }
@@ -170,7 +175,7 @@ fn objection(
     };
     let open = checks
         .iter()
-        .filter(|check| check.verdict == "no-go" && is_known(check));
+        .filter(|check| check.is_press_no_go() && is_known(check));
     let open = open.filter(|check| tool.is_none_or(|tool| check.tool == tool));
     for check in open {
         let (id, _) = check.stored?;
@@ -294,7 +299,7 @@ impl Schedule {
     /// Acknowledges the newest no-go that is known to be stored, unless that was done.
     fn acknowledge(&mut self) {
         let checks = ledger(&self.folder);
-        let no_go = checks.iter().rev().find(|check| check.verdict == "no-go");
+        let no_go = checks.iter().rev().find(|check| check.is_press_no_go());
         let Some((tool, check)) = no_go.and_then(|check| Some((check.tool, check.stored?.0)))
         else {
             return;
@@ -328,11 +333,18 @@ impl Schedule {
         let checks = ledger(&self.folder);
         let is_open = |check: &&Noted| {
             let id = check.stored.map_or(0, |(id, _)| id);
-            check.verdict == "no-go" && !check.is_recording && id > 0 && !accepted(check, id)
+            check.is_press_no_go() && id > 0 && !accepted(check, id)
         };
         let open: Vec<&Noted> = checks.iter().filter(is_open).collect();
-        if !open.is_empty() && self.plant.registers()[0] & LATCHED == 0 {
+        // A press that was killed may have stored a no-go without noting it.
+        let is_noted = |check: &Noted| !check.is_press_no_go() || check.stored.is_some();
+        let is_latched = self.plant.registers()[0] & LATCHED != 0;
+        if !open.is_empty() && !is_latched {
             let wrong = format!("cleared unseen: {open:?} {:?}", self.acknowledged);
+            self.seen.wrong.push(wrong);
+        }
+        if open.is_empty() && is_latched && checks.iter().all(is_noted) {
+            let wrong = format!("latched without a no-go of the press: {checks:?}");
             self.seen.wrong.push(wrong);
         }
     }
@@ -428,7 +440,7 @@ fn campaign(count: usize, lanes: usize) {
             .flat_map(|lane| lane.join().unwrap())
             .collect()
     });
-    let sum = |of: fn(&Seen) -> usize| all.iter().map(of).sum::<usize>();
+    let sum = |figure: fn(&Seen) -> usize| all.iter().map(figure).sum::<usize>();
     println!(
         "{count} schedules, {} rounds of questions, {} goes, {} stops, {} kills, {} acknowledgements accepted and {} refused",
         sum(|seen| seen.rounds),

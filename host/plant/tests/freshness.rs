@@ -7,7 +7,7 @@ mod press;
 mod station;
 
 use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixListener;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
@@ -19,6 +19,7 @@ use flankscope_record::document::{HeadDates, Inspection, LastExposure, LiveLine,
 use flankscope_record::origin::Origin;
 use flankscope_tests::{flankscope, run};
 use press::{Press, inspection};
+use rustix::process::{Pid, Signal, kill_process};
 use station::{Plant, Station};
 
 const GO: u16 = 1;
@@ -69,6 +70,23 @@ fn a_recording_is_shown_and_never_stands() {
     ] {
         assert!(metrics.contains(line), "no {line} in {metrics}");
     }
+    // The no-go of a recording is shown, latches nothing, and cannot be acknowledged.
+    press.store(recording("die", Word::NoGo));
+    let board = plant.board_with("last NO-GO");
+    assert!(!board.contains("verdict no-go"), "{board}");
+    assert!(!board.contains("not acknowledged"), "{board}");
+    let registers = plant.registers();
+    assert_eq!((registers[0], registers[3]), (0, 0), "{registers:?}");
+    let metrics = plant.with_token("/metrics").text;
+    for line in [
+        "flankscope_no_gos_open 0.0",
+        "flankscope_no_go_latched{tool=\"die\",station=\"press 7\"} 0.0",
+    ] {
+        assert!(metrics.contains(line), "no {line} in {metrics}");
+    }
+    let bearer = format!("Authorization: Bearer {}\r\n", plant.token);
+    let answer = plant.post("/acknowledge", &bearer, "check=2&reason=looked");
+    assert_eq!(answer.status, 409, "{}", answer.text);
     // The no-go of one die, then a recording with go of another and of the same one: the registers keep the no-go.
     press.check_now("die", 40, Word::NoGo);
     registers_with(&plant, |bits| bits & LATCHED != 0);
@@ -77,7 +95,7 @@ fn a_recording_is_shown_and_never_stands() {
     plant.board_with("which does not stand at the press");
     let registers = plant.registers();
     assert_eq!(registers[0] & (GO | NO_GO | LATCHED), NO_GO | LATCHED);
-    assert_eq!((registers[3], registers[5]), (3, 2), "{registers:?}");
+    assert_eq!((registers[3], registers[5]), (3, 3), "{registers:?}");
     // A fresh go of another die does not clear it either.
     press.check_now("third", 40, Word::Go);
     plant.board_with("verdict go");
@@ -283,6 +301,79 @@ fn what_a_silent_watch_said_is_not_shown_as_the_present() {
     say(1, Duration::ZERO, "no-go");
     say(3, Duration::from_secs(40), "warn");
     plant.page_with("/now", "The watch is silent");
+}
+
+/// Sends a request and returns its connection, whose answer is waited for at most a second.
+fn asked(address: SocketAddr, request: &[u8]) -> TcpStream {
+    let mut stream = TcpStream::connect(address).unwrap();
+    let wait = Some(Duration::from_secs(1));
+    stream.set_read_timeout(wait).unwrap();
+    stream.write_all(request).unwrap();
+    stream
+}
+
+#[test]
+fn a_stopped_process_answers_nothing_and_later_nothing_that_was_true_before() {
+    const STALE_AFTER: Duration = Duration::from_secs(6);
+    let station = Station::new(STALE_AFTER.as_secs() as u32);
+    let mut press = Press::new(&station.history());
+    let mut plant = station.serve();
+    registers_with(&plant, |bits| bits & FAULT == 0);
+    press.store(Inspection {
+        last_exposure: Some(LastExposure::before_now(Duration::ZERO)),
+        ..inspection("die", 40, Word::Go, 1)
+    });
+    registers_with(&plant, |bits| bits & GO != 0);
+    let (page, token) = (plant.page, &plant.token);
+    let get = |path: &str| {
+        format!(
+            "GET {path} HTTP/1.1\r\nHost: {page}\r\nConnection: close\r\nAuthorization: Bearer {token}\r\n\r\n"
+        )
+    };
+    let pid = Pid::from_child(&plant.process.0);
+    kill_process(pid, Signal::STOP).unwrap();
+    let status = format!("/proc/{}/status", plant.process.0.id());
+    while !std::fs::read_to_string(&status)
+        .unwrap()
+        .contains("State:\tT")
+    {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let read_registers = [0x12, 0x34, 0, 0, 0, 6, 1, 4, 0, 0, 0, 10];
+    let mut registers = asked(plant.modbus, &read_registers);
+    let mut metrics = asked(page, get("/metrics").as_bytes());
+    let mut board = asked(page, get("/board").as_bytes());
+    for stream in [&mut registers, &mut metrics, &mut board] {
+        let silent = stream.read(&mut [0]).unwrap_err();
+        assert_eq!(silent.kind(), std::io::ErrorKind::WouldBlock);
+    }
+    std::thread::sleep(STALE_AFTER);
+    kill_process(pid, Signal::CONT).unwrap();
+    // The answers to what was asked while it stood still.
+    let mut answer = [0; 29];
+    let wait = Some(Duration::from_secs(20));
+    registers.set_read_timeout(wait).unwrap();
+    registers.read_exact(&mut answer).unwrap();
+    let bits = u16::from_be_bytes([answer[9], answer[10]]);
+    assert_eq!(bits & (GO | STALE), STALE, "{answer:?}");
+    for (mut stream, wanted) in [
+        (metrics, "verdict=\"go\"} 0.0"),
+        (board, "<span class=\"verdict old\">TOO OLD"),
+    ] {
+        stream.set_read_timeout(wait).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.contains(wanted), "{answer}");
+        assert!(!answer.contains("verdict go"), "{answer}");
+        let stands = "verdict_stands{tool=\"die\",station=\"press 7\",verdict=\"go\"} 1.0";
+        assert!(!answer.contains(stands), "{answer}");
+    }
+    // Without the process, or without a network to it, there is no answer at all.
+    plant.process.0.kill().unwrap();
+    plant.process.0.wait().unwrap();
+    for address in [plant.modbus, plant.page] {
+        assert!(TcpStream::connect(address).is_err());
+    }
 }
 
 /// A request whose body never comes.

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use broker::{Cable, Station};
 use flankscope_metrology::verdict::Word;
+use flankscope_test_requisites::dear;
 use press::Press;
 use process::wait_for;
 use serde_json::{Value, json};
@@ -103,7 +104,7 @@ fn checks_and_what_stands_are_said_in_json_as_the_schema_has_it() {
         all.extend(heard.until(|message| message["payload"]["online"] == false));
         let numbers: Vec<_> = payloads(&all, "check")
             .iter()
-            .map(|of| of["number"].clone())
+            .map(|check| check["number"].clone())
             .collect();
         assert_eq!(numbers, [json!(2)]);
         // Who comes later is told what stands, and that nobody is there.
@@ -177,9 +178,9 @@ fn nothing_is_lost_or_doubled_in_a_hundred_cuts() {
     };
     let (heard, last) = through_cuts(&station, 100, 1, "json", "");
     let checks = payloads(&heard, "check");
-    let id_and_number = |of: &&Value| {
-        let id = of["id"].as_str().unwrap().to_owned();
-        (id, of["number"].as_i64().unwrap())
+    let id_and_number = |check: &&Value| {
+        let id = check["id"].as_str().unwrap().to_owned();
+        (id, check["number"].as_i64().unwrap())
     };
     // A kill, too, may come between an acknowledgement and its note.
     assert_each_once(checks.iter().map(id_and_number).collect(), last, 110);
@@ -316,6 +317,38 @@ fn sparkplug_births_and_deaths_enclose_the_data_and_old_data_say_so() {
     drop(plant);
 }
 
+/// The keep-alive interval is 30 s, and a broker waits for one and a half of them.
+fn stopped_process_is_declared_offline(language: &str, more: &str, is_offline: fn(&Value) -> bool) {
+    if !dear() {
+        return;
+    }
+    let Some(station) = Station::new(OPEN) else {
+        return;
+    };
+    let mut heard = station.hear(language);
+    let mut press = Press::new(&station.history());
+    press.check_now(TOOL, 40, Word::Go);
+    let plant = station.plant(station.port, 3600, more);
+    wait_for(|| (station.delivered() == 1).then_some(()));
+    plant.stop();
+    std::thread::sleep(Duration::from_secs(25));
+    heard.until(is_offline);
+}
+
+#[test]
+fn a_stopped_process_is_declared_offline_by_the_broker() {
+    stopped_process_is_declared_offline("json", "", |message| {
+        message["payload"]["online"] == false
+    });
+}
+
+#[test]
+fn a_stopped_node_is_declared_dead_by_the_broker() {
+    stopped_process_is_declared_offline("sparkplug", "group = \"forming\"", |message| {
+        message["kind"] == "NDEATH"
+    });
+}
+
 #[test]
 fn another_history_is_sent_from_its_first_check() {
     let Some(station) = Station::new(OPEN) else {
@@ -344,10 +377,11 @@ fn another_history_is_sent_from_its_first_check() {
     let checks = payloads(&all, "check");
     let numbers: Vec<_> = checks
         .iter()
-        .map(|of| of["number"].as_i64().unwrap())
+        .map(|check| check["number"].as_i64().unwrap())
         .collect();
     assert_eq!(numbers, [1, 2, 3, 1, 2, 3, 4]);
-    let ids: std::collections::HashSet<_> = checks.iter().map(|of| of["id"].as_str()).collect();
+    let ids: std::collections::HashSet<_> =
+        checks.iter().map(|check| check["id"].as_str()).collect();
     assert_eq!(ids.len(), 7);
 }
 
@@ -409,18 +443,18 @@ fn what_goes_over_a_network_is_encrypted_and_goes_to_the_right_broker_alone() {
     };
     let ca = |name: &str| format!("login = \"login.toml\"\nca = \"{folder}/{name}.pem\"");
     write("secret word", "644");
-    let said = station.plant(tls, 3600, &ca("plant")).says("chmod 600");
-    assert!(!said.contains("secret"), "{said}");
+    let message = station.plant(tls, 3600, &ca("plant")).says("chmod 600");
+    assert!(!message.contains("secret"), "{message}");
     write("secret word", "600");
     let mut wrong = station.plant(tls, 3600, &ca("other"));
     wrong.says("agree on TLS with the broker");
     drop(wrong);
     write("guess", "600");
     let mut wrong = station.plant(tls, 3600, &ca("plant"));
-    let said = wrong.says("the broker refuses the connection");
+    let message = wrong.says("the broker refuses the connection");
     assert!(
-        said.contains("NotAuthorized") && !said.contains("guess"),
-        "{said}"
+        message.contains("NotAuthorized") && !message.contains("guess"),
+        "{message}"
     );
     drop(wrong);
     assert_eq!(station.delivered(), 0);
@@ -449,8 +483,8 @@ fn what_a_broker_refuses_is_not_taken_for_delivered() {
     Press::new(&station.history()).check("die", 40, Word::Go);
     wait_for(|| std::net::TcpStream::connect(("127.0.0.1", station.port)).ok());
     let mut plant = station.plant(station.port, 3600, "");
-    let said = plant.says("refuses");
-    assert!(said.contains("die/check: NotAuthorized"), "{said}");
+    let message = plant.says("refuses");
+    assert!(message.contains("die/check: NotAuthorized"), "{message}");
     assert_eq!(station.delivered(), 0);
 }
 
@@ -514,15 +548,15 @@ fn settings_that_would_send_in_clear_or_to_nowhere_are_refused() {
         (&format!("{here}\nlogin = \"none.toml\""), "none.toml"),
         (&format!("{here}\npassword = \"a\""), "unknown field"),
     ] {
-        let said = refused(mqtt);
-        assert!(said.contains(why), "{mqtt}: {said}");
+        let message = refused(mqtt);
+        assert!(message.contains(why), "{mqtt}: {message}");
     }
     let delivered = folder.path().join("delivered.toml");
     std::fs::write(&delivered, "number = 3\n").unwrap();
-    let said = refused(here);
+    let message = refused(here);
     assert!(
-        said.contains("delivered.toml:1") && said.contains("sent again"),
-        "{said}"
+        message.contains("delivered.toml:1") && message.contains("sent again"),
+        "{message}"
     );
     std::fs::remove_file(&delivered).unwrap();
     std::fs::create_dir(&delivered).unwrap();

@@ -158,8 +158,8 @@ struct Client {
 
 impl Client {
     fn line(&mut self, end: Instant) -> Option<Value> {
-        let rest = end.saturating_duration_since(Instant::now());
-        let line = self.lines.recv_timeout(rest).ok()?;
+        let remaining = end.saturating_duration_since(Instant::now());
+        let line = self.lines.recv_timeout(remaining).ok()?;
         Some(serde_json::from_str(&line).unwrap())
     }
 
@@ -271,7 +271,7 @@ fn nobody_comes_in_whose_certificate_or_token_is_unknown() {
     let found = found.as_array().unwrap().clone();
     let policies: Vec<_> = found
         .iter()
-        .map(|of| of["policy"].as_str().unwrap())
+        .map(|endpoint| endpoint["policy"].as_str().unwrap())
         .collect();
     assert_eq!(policies.len(), 2);
     for endpoint in &found {
@@ -757,34 +757,34 @@ fn refused(folder: &Path, opcua: &str) -> String {
 fn settings_without_users_or_with_secrets_in_the_open_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    let rest = "users = \"users.toml\"\ncertificates = \"certificates\"";
-    let here = format!("listen = \"127.0.0.1:0\"\n{rest}");
+    let keys = "users = \"users.toml\"\ncertificates = \"certificates\"";
+    let local = format!("listen = \"127.0.0.1:0\"\n{keys}");
     for (opcua, why) in [
-        (format!("listen = \"0.0.0.0:0\"\n{rest}"), "opcua.listen"),
-        (format!("{here}\nname = \"a/b\""), "opcua.name"),
-        (format!("{here}\nanonymous = true"), "unknown field"),
+        (format!("listen = \"0.0.0.0:0\"\n{keys}"), "opcua.listen"),
+        (format!("{local}\nname = \"a/b\""), "opcua.name"),
+        (format!("{local}\nanonymous = true"), "unknown field"),
         (
             "listen = \"127.0.0.1:0\"\nusers = \"users.toml\"".into(),
             "certificates",
         ),
         // The certificate is made first.
-        (here.clone(), "users.toml"),
+        (local.clone(), "users.toml"),
     ] {
-        let said = refused(path, &opcua);
-        assert!(said.contains(why), "{opcua}: {said}");
+        let message = refused(path, &opcua);
+        assert!(message.contains(why), "{opcua}: {message}");
     }
     let key = path.join("certificates/own/flankscope-plant.key.pem");
     let mode =
         |mode: u32| std::fs::set_permissions(&key, std::fs::Permissions::from_mode(mode)).unwrap();
     mode(0o644);
-    assert!(refused(path, &here).contains("chmod 600"));
+    assert!(refused(path, &local).contains("chmod 600"));
     mode(0o600);
     // A name that its certificate does not have.
-    let said = refused(path, &format!("{here}\nname = \"press8\""));
-    assert!(said.contains("another name"), "{said}");
+    let message = refused(path, &format!("{local}\nname = \"press8\""));
+    assert!(message.contains("another name"), "{message}");
     std::fs::remove_file(&key).unwrap();
-    assert!(refused(path, &here).contains("is missing"));
+    assert!(refused(path, &local).contains("is missing"));
     // The folder cannot be made.
-    let said = refused(path, &here.replace("\"certificates\"", "\"plant.toml\""));
-    assert!(said.contains("[opcua] certificates"), "{said}");
+    let message = refused(path, &local.replace("\"certificates\"", "\"plant.toml\""));
+    assert!(message.contains("[opcua] certificates"), "{message}");
 }

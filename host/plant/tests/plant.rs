@@ -110,7 +110,7 @@ fn a_verdict_is_shown_on_the_page_in_registers_and_in_metrics() {
     let report = check
         .split("/reports/")
         .nth(1)
-        .and_then(|rest| rest.split('"').next());
+        .and_then(|link| link.split('"').next());
     let report = plant
         .with_token(&format!("/reports/{}", report.unwrap()))
         .text;
@@ -261,7 +261,7 @@ fn demo_line() -> (Child, Printed, String, PathBuf) {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let mut printed = Printed::of(&mut child);
+    let mut printed = Printed::by_child(&mut child);
     let token = printed.after("token");
     let folder = PathBuf::from(printed.after("folder"));
     (child, printed, token, folder)
@@ -285,17 +285,22 @@ fn a_line_to_show_runs_by_itself_and_leaves_nothing() {
 }
 
 /// Processes that this one started, and theirs.
-fn descendants(of: u32) -> Vec<u32> {
+fn descendants(ancestor: u32) -> Vec<u32> {
     let entries = std::fs::read_dir("/proc").unwrap().flatten();
     let parents = entries.filter_map(|entry| {
         let id: u32 = entry.file_name().to_str()?.parse().ok()?;
         Some((id, stat(id)?.1))
     });
     let parents: Vec<(u32, u32)> = parents.collect();
-    let mut found = vec![of];
+    let mut found = vec![ancestor];
     let mut at = 0;
     while let Some(&parent) = found.get(at) {
-        found.extend(parents.iter().filter(|of| of.1 == parent).map(|of| of.0));
+        found.extend(
+            parents
+                .iter()
+                .filter(|process| process.1 == parent)
+                .map(|process| process.0),
+        );
         at += 1;
     }
     found.split_off(1)
@@ -304,8 +309,8 @@ fn descendants(of: u32) -> Vec<u32> {
 /// State and parent of a process (proc_pid_stat(5)).
 fn stat(process: u32) -> Option<(char, u32)> {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    let (_, rest) = stat.rsplit_once(") ")?;
-    let mut fields = rest.split(' ');
+    let (_, fields) = stat.rsplit_once(") ")?;
+    let mut fields = fields.split(' ');
     Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
 }
 
@@ -507,7 +512,7 @@ fn a_page_with_a_certificate_speaks_tls_alone_to_clients_that_verify_it() {
         );
         std::fs::write(folder.join("plant.toml"), text).unwrap();
     };
-    let refused = |said: &str| {
+    let refused = |message: &str| {
         let output = plant()
             .arg("serve")
             .arg(folder.join("plant.toml"))
@@ -515,7 +520,7 @@ fn a_page_with_a_certificate_speaks_tls_alone_to_clients_that_verify_it() {
             .unwrap();
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
-            output.status.code() == Some(3) && error.contains(said),
+            output.status.code() == Some(3) && error.contains(message),
             "{error}"
         );
     };
@@ -646,11 +651,14 @@ fn a_page_with_a_certificate_speaks_tls_alone_to_clients_that_verify_it() {
         .stdout(Stdio::null());
     let mut old = Killed(command.stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(old.0.stderr.take().unwrap()).lines();
-    let said = lines
+    let warning = lines
         .find(|line| line.as_ref().unwrap().contains("old.pem"))
         .unwrap()
         .unwrap();
-    assert!(said.contains("this certificate expired at 20"), "{said}");
+    assert!(
+        warning.contains("this certificate expired at 20"),
+        "{warning}"
+    );
 }
 
 #[cfg(not(feature = "tls"))]

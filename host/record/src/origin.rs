@@ -8,7 +8,7 @@ use flankscope_foundation::date::Date;
 use serde::Serialize;
 
 /// Links of results that were made from recorded frames and recorded clouds.
-const RECORDED_LINKS: [&str; 2] = ["recorded frames", "recorded clouds"];
+pub const RECORDED_LINKS: [&str; 2] = ["recorded frames", "recorded clouds"];
 
 /// Kind of controller or recording behind an instrument.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,12 +60,10 @@ pub struct RecordingId {
     pub simulated: bool,
 }
 
-/// The text is not a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "an empty text is no link; sim, qemu or the controller's port, such as /dev/ttyACM0, would be"
-)]
-pub struct NoLink;
+/// The text is not a link: it is empty, or results of recordings state it as theirs.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("\"{0}\" is not a link; use sim, qemu or the controller's port, such as /dev/ttyACM0")]
+pub struct NoLink(pub String);
 
 impl Link {
     /// Whether it is simulated, without a real die.
@@ -83,7 +81,7 @@ impl FromStr for Link {
 
     fn from_str(text: &str) -> Result<Self, NoLink> {
         match text {
-            "" => Err(NoLink),
+            text if text.is_empty() || RECORDED_LINKS.contains(&text) => Err(NoLink(text.into())),
             "sim" => Ok(Self::Sim),
             "qemu" => Ok(Self::Qemu),
             port => Ok(Self::Port(port.into())),
@@ -220,7 +218,10 @@ mod tests {
                 (text, simulated)
             );
         }
-        assert!("".parse::<Link>().is_err());
+        // A port of such a name would make checks at the press look like recordings, which set no latch.
+        for text in ["", "recorded frames", "recorded clouds"] {
+            assert_eq!(text.parse::<Link>(), Err(NoLink(text.into())));
+        }
     }
 
     #[test]

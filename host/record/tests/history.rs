@@ -4,7 +4,7 @@ mod inspections;
 
 use std::path::Path;
 
-use flankscope_metrology::verdict::{Code, Word};
+use flankscope_metrology::verdict::{Code, Shown, Word};
 use flankscope_record::die::DieKey;
 use flankscope_record::document::{FeatureId, Inspection, LastExposure};
 use flankscope_record::history::{
@@ -467,17 +467,81 @@ fn acknowledgements_that_race_with_new_no_gos_clear_none_unseen() {
     assert_eq!(unseen, 0, "{accepted} accepted, {refused} refused");
 }
 
+/// A check of recorded frames.
+fn recording(press_cycles: u32, verdict: Word) -> Inspection {
+    let check = inspection(press_cycles, verdict, "");
+    Inspection {
+        origin: Origin {
+            link: "recorded frames".into(),
+            ..check.origin.clone()
+        },
+        ..check
+    }
+}
+
+#[test]
+fn a_recording_neither_sets_nor_clears_a_latch() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let mut writer = writer(History::open(&path, &seals()).unwrap());
+    let reader = History::read(&path, &seals()).unwrap();
+    let die = die_key("die");
+    let shown = |writer: &HistoryWriter| writer.latch(&die).unwrap().shown();
+    let open = || -> Vec<i64> {
+        let no_gos = reader.standing_no_gos().unwrap();
+        no_gos.iter().map(|no_go| no_go.check).collect()
+    };
+    for link in ["recorded frames", "recorded clouds"] {
+        let mut no_go = recording(1, Word::NoGo);
+        no_go.origin.link = link.into();
+        writer.put(&mut no_go).unwrap();
+    }
+    assert_eq!((open(), shown(&writer)), (vec![], Shown::Unchecked));
+    assert!(reader.open_verdicts(&die).unwrap().is_empty());
+    // There is nothing to acknowledge.
+    let mut person = History::open(&path, &seals()).unwrap();
+    let refused = person.acknowledge_no_go(2, None, "Ada").unwrap_err();
+    assert!(matches!(
+        refused,
+        HistoryError::NotStanding { check: 2, .. }
+    ));
+    // Neither does the go of a recording clear the no-go of the press, nor does its no-go replace it.
+    writer.put(&mut inspection(2, Word::NoGo, "")).unwrap();
+    for verdict in [Word::Go, Word::Go, Word::Go, Word::NoGo] {
+        writer.put(&mut recording(2, verdict)).unwrap();
+    }
+    assert_eq!((open(), shown(&writer)), (vec![3], Shown::NoGo));
+    // With the recordings after it unseen, the no-go of the press is the newest one.
+    person.acknowledge_no_go(3, None, "Ada").unwrap();
+    assert_eq!((open(), shown(&writer)), (vec![], Shown::Unchecked));
+    // Three recorded goes do not clear a warning.
+    writer.put(&mut inspection(3, Word::Warn, "")).unwrap();
+    for _ in 0..3 {
+        writer.put(&mut recording(3, Word::Go)).unwrap();
+    }
+    let mut latch = writer.latch(&die).unwrap();
+    assert_eq!(latch.take(Word::Go), Shown::Warn);
+}
+
+#[test]
+fn cycles_of_the_press_count_on_across_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
+    let mut cycles = |check: Inspection| {
+        let id = history.record(&check, None).unwrap();
+        history.check(id).unwrap().tool_cycles
+    };
+    assert_eq!(cycles(inspection(100, Word::Go, "")), 100);
+    cycles(recording(0, Word::Go));
+    cycles(recording(4_000, Word::Go));
+    assert_eq!(cycles(inspection(107, Word::Go, "")), 107);
+}
+
 #[test]
 fn a_recording_is_stored_and_is_never_the_last_check() {
     let folder = tempfile::tempdir().unwrap();
     let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
-    let recording = || Inspection {
-        origin: Origin {
-            link: "recorded frames".into(),
-            ..inspection(1, Word::Go, "").origin
-        },
-        ..inspection(1, Word::Go, "")
-    };
+    let recording = || recording(1, Word::Go);
     history.record(&recording(), None).unwrap();
     let last = history.last_checks().unwrap().pop().unwrap();
     assert_eq!(last.check, None);

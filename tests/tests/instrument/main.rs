@@ -11,5 +11,6 @@ mod init;
 mod interrupts;
 mod line;
 mod stages;
+mod tampered_line;
 mod view;
 mod watch;

@@ -25,6 +25,8 @@ impl std::fmt::Display for FlankName {
 #[derive(Clone, Debug, Deserialize)]
 pub struct LastCheck {
     pub station: String,
+    /// `recorded frames` or `recorded clouds` if nothing was measured at the press.
+    pub link: String,
     #[serde(flatten)]
     pub check: CheckRow,
     /// Whether the lake had it once, and has nothing of the station any more.

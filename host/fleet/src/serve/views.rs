@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use askama::Template;
+use flankscope_record::origin::RECORDED_LINKS;
 use jiff::{SignedDuration, Timestamp};
 
 use super::answers::{CheckRow, Die, FlankRow, LastCheck, Unlike};
@@ -85,9 +86,15 @@ pub enum Shown {
 }
 
 impl Shown {
-    /// A verdict stands if the lake answers and has it, and the check is neither older than its time nor ahead of the clock.
+    /// A verdict stands if the lake answers and has it, and the check is neither a recording nor older than its time nor ahead of the
+    /// clock.
     pub fn of(
-        LastCheck { check, is_gone, .. }: &LastCheck,
+        LastCheck {
+            check,
+            is_gone,
+            link,
+            ..
+        }: &LastCheck,
         lake_answers: bool,
         times: &Times,
     ) -> Self {
@@ -96,6 +103,9 @@ impl Shown {
         let was = || format!("was {}", check.check_verdict);
         match word {
             _ if !lake_answers => Self::Old(was()),
+            _ if RECORDED_LINKS.contains(&link.as_str()) => {
+                Self::Old(format!("{}; a recording, not the press", was()))
+            }
             _ if *is_gone => Self::Old(format!("{}; the lake has nothing of it any more", was())),
             _ if times.is_ahead(check.stored_at) => {
                 Self::Old(format!("{}; its clock is ahead", was()))
@@ -502,7 +512,7 @@ mod tests {
 
     fn press(verdict: &str, stored_at: Timestamp) -> LastCheck {
         serde_json::from_value(serde_json::json!({
-            "station": "press 7", "simulated": false, "history": "h", "epoch": "e", "check_number": 1, "date": "2026-01-31", "stored_at": stored_at.to_string(),
+            "station": "press 7", "link": "/dev/ttyACM0", "simulated": false, "history": "h", "epoch": "e", "check_number": 1, "date": "2026-01-31", "stored_at": stored_at.to_string(),
             "tool": "die", "serial": null, "tool_cycles": 1, "check_verdict": verdict, "reason": "", "tooth": 40, "flank": "left",
             "patch": null, "wear_um": 1.0, "u95_um": 4.0, "limit_um": 50.0
         }))
@@ -543,5 +553,17 @@ mod tests {
             ..press("go", now)
         };
         assert_eq!(Shown::of(&gone, true, &times).class(), OLD);
+        for (link, class) in [
+            ("/dev/ttyACM0", "go"),
+            ("sim", "go"),
+            ("recorded frames", OLD),
+            ("recorded clouds", OLD),
+        ] {
+            let checked = LastCheck {
+                link: link.into(),
+                ..press("go", now)
+            };
+            assert_eq!(Shown::of(&checked, true, &times).class(), class, "{link}");
+        }
     }
 }

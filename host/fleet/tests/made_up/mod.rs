@@ -33,6 +33,8 @@ pub struct Maker {
     numbers: BTreeMap<String, i64>,
     /// Verdict of the checks that are put from now on.
     pub verdict: &'static str,
+    /// Which of a station's histories they are stored in.
+    pub history: u32,
 }
 
 impl Maker {
@@ -48,6 +50,7 @@ impl Maker {
             seals: Seals::passing().unwrap(),
             numbers: BTreeMap::new(),
             verdict: "go",
+            history: 1,
         }
     }
 
@@ -65,8 +68,12 @@ impl Maker {
         change: impl Fn(usize, &mut LakeCheck),
     ) -> LakeFile {
         let station = checks[0].station.clone();
-        let next = self.numbers.entry(station.clone()).or_insert(1);
-        let history = blake3::hash(station.as_bytes()).to_hex()[..32].to_owned();
+        let name = match self.history {
+            1 => station.clone(),
+            further => format!("{station} {further}"),
+        };
+        let history = blake3::hash(name.as_bytes()).to_hex()[..32].to_owned();
+        let next = self.numbers.entry(name).or_insert(1);
         let first = *next;
         *next += checks.len() as i64;
         let last = *next - 1;

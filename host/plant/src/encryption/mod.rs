@@ -31,7 +31,7 @@ impl Encryption {
     /// # Errors
     /// Certificate or key cannot be read, do not belong together, or others can read the key.
     #[cfg(feature = "tls")]
-    pub fn of(page: &PageSettings) -> anyhow::Result<Self> {
+    pub fn for_page(page: &PageSettings) -> anyhow::Result<Self> {
         match (&page.certificate, &page.key) {
             (Some(certificate), Some(key)) => Ok(Self::Tls(acceptor(certificate, key)?)),
             _ => Ok(Self::Plain),
@@ -41,7 +41,7 @@ impl Encryption {
     /// Settings that ask for it were refused.
     #[cfg(not(feature = "tls"))]
     #[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
-    pub fn of(_: &PageSettings) -> anyhow::Result<Self> {
+    pub fn for_page(_: &PageSettings) -> anyhow::Result<Self> {
         Ok(Self::Plain)
     }
 

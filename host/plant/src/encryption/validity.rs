@@ -32,31 +32,31 @@ fn validity(certificate: &[u8]) -> Option<[Timestamp; 2]> {
         to_be_signed = any(to_be_signed)?.2;
     }
     let (times, _) = element(to_be_signed, SEQUENCE)?;
-    let (tag, from, rest) = any(times)?;
+    let (tag, from, after_from) = any(times)?;
     let from = moment(tag, from)?;
-    let (tag, until, _) = any(rest)?;
+    let (tag, until, _) = any(after_from)?;
     Some([from, moment(tag, until)?])
 }
 
 /// Tag and content of the first element, and what follows it.
 fn any(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (&tag, rest) = bytes.split_first()?;
-    let (&length, rest) = rest.split_first()?;
-    let (length, rest) = match usize::from(length) {
-        short @ 0..0x80 => (short, rest),
+    let (&tag, tail) = bytes.split_first()?;
+    let (&length, tail) = tail.split_first()?;
+    let (length, tail) = match usize::from(length) {
+        short @ 0..0x80 => (short, tail),
         long => {
-            let (digits, rest) = rest.split_at_checked(long - 0x80)?;
+            let (digits, tail) = tail.split_at_checked(long - 0x80)?;
             let add = |sum: usize, byte: &u8| sum.checked_mul(256)?.checked_add((*byte).into());
-            (digits.iter().try_fold(0, add)?, rest)
+            (digits.iter().try_fold(0, add)?, tail)
         }
     };
-    let (content, rest) = rest.split_at_checked(length)?;
-    Some((tag, content, rest))
+    let (content, tail) = tail.split_at_checked(length)?;
+    Some((tag, content, tail))
 }
 
 fn element(bytes: &[u8], wanted: u8) -> Option<(&[u8], &[u8])> {
-    let (tag, content, rest) = any(bytes)?;
-    (tag == wanted).then_some((content, rest))
+    let (tag, content, tail) = any(bytes)?;
+    (tag == wanted).then_some((content, tail))
 }
 
 /// A time with seconds, in UTC; years of two digits are 1950 to 2049.
@@ -116,7 +116,7 @@ mod tests {
         let now = "2026-11-27T12:00:00Z".parse().unwrap();
         let short = |text| (UTC_TIME, text);
         let long = |text| (GENERALIZED_TIME, text);
-        for (from, until, said) in [
+        for (from, until, expected) in [
             (short("260101000000Z"), short("270101000000Z"), None),
             (short("500101000000Z"), long("20500101000000Z"), None),
             (
@@ -144,9 +144,9 @@ mod tests {
                 let bytes = certificate(from, until, version);
                 let got = objection(&bytes, now);
                 assert!(
-                    match (said, &got) {
+                    match (expected, &got) {
                         (None, None) => true,
-                        (Some(said), Some(got)) => got.contains(said),
+                        (Some(expected), Some(got)) => got.contains(expected),
                         _ => false,
                     },
                     "{from:?} {until:?}: {got:?}"

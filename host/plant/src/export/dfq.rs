@@ -12,8 +12,8 @@ use super::{
 };
 
 /// The file's text; none of a check without a flank, since a part without characteristics is not to be transferred.
-pub fn file(of: &ExportedCheck) -> Option<String> {
-    let check = &of.check;
+pub fn file(exported: &ExportedCheck) -> Option<String> {
+    let check = &exported.check;
     if check.flanks.is_empty() {
         return None;
     }
@@ -34,7 +34,7 @@ pub fn file(of: &ExportedCheck) -> Option<String> {
     fields.add_some("K1222", origin.operator.as_deref());
     // Fields that their user names.
     for (name, text, value) in [
-        ("K1800", "check id", of.id.clone()),
+        ("K1800", "check id", exported.id.clone()),
         ("K1810", "check number", check.id.to_string()),
         ("K1820", "tool cycles", check.tool_cycles.to_string()),
         ("K1830", "verdict", check.verdict.to_string()),
@@ -60,9 +60,9 @@ pub fn file(of: &ExportedCheck) -> Option<String> {
             fields.add_of("K0001", n, millimetres(wear_um));
             // Valid.
             fields.add_of("K0002", n, 0);
-            fields.add_of("K0004", n, of.at.strftime("%d.%m.%Y/%H:%M:%S"));
+            fields.add_of("K0004", n, exported.at.strftime("%d.%m.%Y/%H:%M:%S"));
             let simulated = if origin.simulated { ", simulated" } else { "" };
-            fields.add_of("K0009", n, format!("check {}{simulated}", of.id));
+            fields.add_of("K0009", n, format!("check {}{simulated}", exported.id));
             if let Some(serial) = &check.serial {
                 fields.add_of("K0014", n, serial);
             }

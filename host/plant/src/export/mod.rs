@@ -123,23 +123,23 @@ fn checks(
     period: &Period,
 ) -> anyhow::Result<Vec<ExportedCheck>> {
     let tools = history.tools()?;
-    let known = || match tools.is_empty() {
+    let stored_tools = || match tools.is_empty() {
         true => "no check yet".into(),
         false => format!("checks of {}", tools.join(", ")),
     };
     if let Some(tool) = tool {
         anyhow::ensure!(
-            tools.iter().any(|known| known == tool),
+            tools.iter().any(|stored_tool| stored_tool == tool),
             "--tool {tool}: the history has {}",
-            known()
+            stored_tools()
         );
     }
     let mut exported = Vec::new();
-    for of in tools
+    for stored_tool in tools
         .iter()
-        .filter(|of| tool.is_none_or(|tool| tool == *of))
+        .filter(|stored_tool| tool.is_none_or(|tool| tool == *stored_tool))
     {
-        for check in history.checks(of)? {
+        for check in history.checks(stored_tool)? {
             let at: Timestamp = check.at.parse().with_context(|| {
                 format!("check {}: '{}' is no time of ISO 8601", check.id, check.at)
             })?;
@@ -149,7 +149,7 @@ fn checks(
             }
         }
     }
-    exported.sort_by_key(|of| of.check.id);
+    exported.sort_by_key(|exported_check| exported_check.check.id);
     Ok(exported)
 }
 
@@ -178,7 +178,10 @@ fn of_each(
 }
 
 fn rows(checks: &[ExportedCheck]) -> Vec<Check> {
-    checks.iter().map(|of| of.check.clone()).collect()
+    checks
+        .iter()
+        .map(|exported| exported.check.clone())
+        .collect()
 }
 
 #[cfg(feature = "parquet")]

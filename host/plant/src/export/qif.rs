@@ -36,8 +36,8 @@ impl Aspect {
 }
 
 /// The document's text.
-pub fn document(of: &ExportedCheck) -> String {
-    let flanks = of.check.flanks.len();
+pub fn document(exported: &ExportedCheck) -> String {
+    let flanks = exported.check.flanks.len();
     let id_max = (RESULTS + 4 * flanks).to_string();
     let root = [
         ("xmlns", NAMESPACE),
@@ -47,22 +47,22 @@ pub fn document(of: &ExportedCheck) -> String {
     let mut xml = Xml::new();
     // QIFDocumentType
     xml.around("QIFDocument", &root, |xml| {
-        xml.text("QPId", uuid("document", &of.id));
-        header(xml, of);
+        xml.text("QPId", uuid("document", &exported.id));
+        header(xml, exported);
         standards(xml);
         units(xml);
         // Lists of the schema are not empty.
         if flanks > 0 {
-            characteristics(xml, &of.check.flanks);
+            characteristics(xml, &exported.check.flanks);
         }
-        results(xml, of);
+        results(xml, exported);
     });
     xml.finish()
 }
 
 /// QIFDocumentHeaderType
-fn header(xml: &mut Xml, of: &ExportedCheck) {
-    let check = &of.check;
+fn header(xml: &mut Xml, exported: &ExportedCheck) {
+    let check = &exported.check;
     let simulated = match check.origin.simulated {
         true => format!("{SIMULATED}. "),
         false => String::new(),
@@ -74,7 +74,7 @@ fn header(xml: &mut Xml, of: &ExportedCheck) {
         one_line(&check.tool),
         one_line(&check.origin.station),
         check.at,
-        of.id
+        exported.id
     );
     xml.around("Header", &[], |xml| {
         xml.text("Description", description);
@@ -114,7 +114,7 @@ fn characteristics(xml: &mut Xml, flanks: &[FlankRow]) {
     let n = flanks.len().to_string();
     let n = [("n", n.as_str())];
     let all = || flanks.iter().enumerate();
-    let id = |of: Aspect, flank| of.id(flank).to_string();
+    let id = |aspect: Aspect, flank| aspect.id(flank).to_string();
     xml.around("Characteristics", &[], |xml| {
         xml.text("FormalStandardId", STANDARD);
         xml.around("CharacteristicDefinitions", &n, |xml| {
@@ -161,8 +161,8 @@ fn characteristics(xml: &mut Xml, flanks: &[FlankRow]) {
 }
 
 /// ResultsType
-fn results(xml: &mut Xml, of: &ExportedCheck) {
-    let check = &of.check;
+fn results(xml: &mut Xml, exported: &ExportedCheck) {
+    let check = &exported.check;
     let status = |xml: &mut Xml, name: &str| {
         xml.around(name, &[], |xml| {
             xml.text("InspectionStatusEnum", inspection_status(check.verdict));
@@ -173,8 +173,8 @@ fn results(xml: &mut Xml, of: &ExportedCheck) {
             let own = [("id", &*RESULTS.to_string())];
             // MeasurementResultsType
             xml.around("MeasurementResults", &own, |xml| {
-                traceability(xml, of);
-                xml.text("ThisResultsInstanceQPId", uuid("results", &of.id));
+                traceability(xml, exported);
+                xml.text("ThisResultsInstanceQPId", uuid("results", &exported.id));
                 if !check.flanks.is_empty() {
                     xml.around("MeasuredCharacteristics", &[], |xml| {
                         let n = check.flanks.len().to_string();
@@ -216,13 +216,13 @@ fn attributes(xml: &mut Xml, all: &[Attribute]) {
 }
 
 /// InspectionTraceabilityType: what QIF has no element for, or only one that wants more than is known, is an attribute.
-fn traceability(xml: &mut Xml, of: &ExportedCheck) {
-    let check = &of.check;
+fn traceability(xml: &mut Xml, exported: &ExportedCheck) {
+    let check = &exported.check;
     let origin = &check.origin;
     let text = |name, value: &str| ("AttributeStr", name, one_line(value));
     let number = |name, value: i64| ("AttributeI1", name, value.to_string());
     let mut all = vec![
-        text("CheckId", &of.id),
+        text("CheckId", &exported.id),
         ("AttributeBool", "Simulated", origin.simulated.to_string()),
         text("Tool", &check.tool),
         number("ToolCycles", check.tool_cycles),

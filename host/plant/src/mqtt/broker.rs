@@ -15,7 +15,7 @@ use tokio::time::{Instant, timeout};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::{InvalidDnsNameError, ServerName};
 
-use super::packets::{self, Message, PacketError, Said};
+use super::packets::{self, BrokerAnswer, Message, PacketError};
 use crate::settings::{Address, MqttVersion};
 
 /// Longest time for a connection or an answer.
@@ -100,7 +100,7 @@ impl Broker {
         within("introduce this station to the broker", async {
             broker.send(&packet).await?;
             loop {
-                if let Said::Connected(answer) = broker.hear().await? {
+                if let BrokerAnswer::Connected(answer) = broker.hear().await? {
                     return refused("the connection", answer);
                 }
             }
@@ -121,7 +121,9 @@ impl Broker {
             }
             loop {
                 match self.hear().await? {
-                    Said::Published(of, answer) if of == pid.value() => {
+                    BrokerAnswer::Published(acknowledged, answer)
+                        if acknowledged == pid.value() =>
+                    {
                         return refused(&message.topic, answer);
                     }
                     _ => {}
@@ -138,7 +140,7 @@ impl Broker {
             // One that is due already is not the answer to this one.
             let mut due = 1 + usize::from(self.pinged.take().is_some());
             while due > 0 {
-                if matches!(self.hear().await?, Said::Pong) {
+                if matches!(self.hear().await?, BrokerAnswer::Pong) {
                     due -= 1;
                 }
             }
@@ -154,7 +156,7 @@ impl Broker {
         within("subscribe", async {
             self.send(&packet).await?;
             loop {
-                if let Said::Subscribed(answer) = self.hear().await? {
+                if let BrokerAnswer::Subscribed(answer) = self.hear().await? {
                     return refused(filter, answer);
                 }
             }
@@ -185,8 +187,8 @@ impl Broker {
     pub async fn attend(&mut self) -> Result<(), BrokerError> {
         let doing = "wait for a sign of life";
         within(doing, async {
-            while let Some(said) = packets::take(self.version, &mut self.arrived)? {
-                self.note(said).await?;
+            while let Some(answer) = packets::take(self.version, &mut self.arrived)? {
+                self.note(answer).await?;
             }
             match self.pinged {
                 Some(at) if at.elapsed() > ANSWER_WITHIN => Err(BrokerError::Silent { doing }),
@@ -201,18 +203,18 @@ impl Broker {
     }
 
     /// What the broker says next.
-    async fn hear(&mut self) -> Result<Said, BrokerError> {
+    async fn hear(&mut self) -> Result<BrokerAnswer, BrokerError> {
         loop {
-            if let Some(said) = packets::take(self.version, &mut self.arrived)? {
-                return self.note(said).await;
+            if let Some(answer) = packets::take(self.version, &mut self.arrived)? {
+                return self.note(answer).await;
             }
             self.arrival().await?;
         }
     }
 
-    async fn note(&mut self, said: Said) -> Result<Said, BrokerError> {
-        match said {
-            Said::Command(payload, pid) => {
+    async fn note(&mut self, answer: BrokerAnswer) -> Result<BrokerAnswer, BrokerError> {
+        match answer {
+            BrokerAnswer::Command(payload, pid) => {
                 if self.commands.len() < MOST_COMMANDS {
                     self.commands.push(payload);
                 }
@@ -220,14 +222,14 @@ impl Broker {
                     let packet = packets::acknowledge(self.version, pid)?;
                     self.send(&packet).await?;
                 }
-                Ok(Said::Other)
+                Ok(BrokerAnswer::Other)
             }
-            Said::Closed(why) => Err(BrokerError::Closed { why }),
-            said => {
-                if matches!(said, Said::Pong) {
+            BrokerAnswer::Closed(why) => Err(BrokerError::Closed { why }),
+            answer => {
+                if matches!(answer, BrokerAnswer::Pong) {
                     self.pinged = None;
                 }
-                Ok(said)
+                Ok(answer)
             }
         }
     }
@@ -290,7 +292,7 @@ pub fn tls(ca: &std::path::Path) -> anyhow::Result<TlsConnector> {
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_slice_iter(text.as_bytes()) {
         let certificate = certificate.map_err(|error| anyhow::anyhow!("{error}"));
-        let added = certificate.and_then(|of| Ok(roots.add(of)?));
+        let added = certificate.and_then(|certificate| Ok(roots.add(certificate)?));
         added.with_context(|| format!("{}: no certificate", ca.display()))?;
     }
     anyhow::ensure!(

@@ -19,10 +19,10 @@ const STATE: &str = "/state";
 #[derive(Debug)]
 pub struct Json {
     station: String,
-    /// States of an earlier connection of which nothing was said on this one.
+    /// States of an earlier connection that this one has not replaced.
     earlier: BTreeMap<String, Vec<u8>>,
-    /// What was last said under every topic.
-    said: BTreeMap<String, Vec<u8>>,
+    /// Last payload of every topic.
+    published: BTreeMap<String, Vec<u8>>,
 }
 
 /// A stored check.
@@ -83,14 +83,14 @@ impl Json {
             earlier: retained
                 .map(|(topic, state)| (topic, state.into_bytes()))
                 .collect(),
-            said: BTreeMap::new(),
+            published: BTreeMap::new(),
         }
     }
 
     /// Messages that the broker retains once these changes are sent: the states of all tools, by topic.
     pub fn retained(&self) -> BTreeMap<String, String> {
-        let said = self.earlier.iter().chain(&self.said);
-        let states = said.filter(|(topic, _)| topic.ends_with(STATE));
+        let published = self.earlier.iter().chain(&self.published);
+        let states = published.filter(|(topic, _)| topic.ends_with(STATE));
         let text = |payload: &Vec<u8>| String::from_utf8_lossy(payload).into_owned();
         states
             .map(|(topic, payload)| (topic.clone(), text(payload)))
@@ -134,9 +134,12 @@ impl Json {
             let topic = format!("{}{STATE}", topic_word(&die.last.tool));
             current.insert(topic, text(&state(die)));
         }
-        self.said.append(&mut self.earlier);
-        let known = self.said.iter().filter(|(topic, _)| topic.ends_with(STATE));
-        for (topic, before) in known {
+        self.published.append(&mut self.earlier);
+        let states = self
+            .published
+            .iter()
+            .filter(|(topic, _)| topic.ends_with(STATE));
+        for (topic, before) in states {
             let now = || match station.fault {
                 Some(_) => withdrawn(before),
                 None => Vec::new(),
@@ -146,13 +149,13 @@ impl Json {
         let mut changes = Vec::new();
         let status = status(true, station.fault.as_deref());
         for (topic, payload) in current.into_iter().chain([("status".to_owned(), status)]) {
-            if self.said.get(&topic) == Some(&payload) {
+            if self.published.get(&topic) == Some(&payload) {
                 continue;
             }
             if payload.is_empty() {
-                self.said.remove(&topic);
+                self.published.remove(&topic);
             } else {
-                self.said.insert(topic.clone(), payload.clone());
+                self.published.insert(topic.clone(), payload.clone());
             }
             changes.push(self.retained_message(topic, payload));
         }
@@ -276,25 +279,25 @@ mod tests {
         sent(&mut json, &scene.look(&moment(100)), 100);
         let mut json = Json::new("press7", json.retained());
         let gone = Standing::unread(Duration::from_secs(60)).with_fault("gone", &[]);
-        let said = sent(&mut json, &gone, 110);
-        assert_eq!(said.len(), 3);
+        let messages = sent(&mut json, &gone, 110);
+        assert_eq!(messages.len(), 3);
         assert_eq!(
-            (&*said[0].0, &said[0].1["verdict"]),
+            (&*messages[0].0, &messages[0].1["verdict"]),
             ("die/state", &serde_json::Value::Null)
         );
-        assert_eq!(said[0].1["worth"], "unknown");
+        assert_eq!(messages[0].1["worth"], "unknown");
         assert_eq!(
-            (&*said[1].0, &said[1].1["verdict"]),
+            (&*messages[1].0, &messages[1].1["verdict"]),
             ("worn/state", &"no-go".into())
         );
         assert_eq!(
-            (&*said[2].0, &said[2].1["fault"]),
+            (&*messages[2].0, &messages[2].1["fault"]),
             ("status", &"gone".into())
         );
         // It comes back as it was.
-        let said = sent(&mut json, &scene.look(&moment(120)), 120);
+        let messages = sent(&mut json, &scene.look(&moment(120)), 120);
         assert_eq!(
-            (&*said[0].0, &said[0].1["verdict"]),
+            (&*messages[0].0, &messages[0].1["verdict"]),
             ("die/state", &"go".into())
         );
     }

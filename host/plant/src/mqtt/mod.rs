@@ -69,24 +69,24 @@ impl Sender {
     /// A file cannot be read or written, or lets others read the password.
     pub fn new(
         settings: &Settings,
-        of: &MqttSettings,
+        mqtt: &MqttSettings,
         seals: Seals,
         standing: watch::Receiver<Arc<Standing>>,
     ) -> anyhow::Result<Arc<Self>> {
-        let login = of.login.as_deref().map(|path| -> anyhow::Result<Login> {
+        let login = mqtt.login.as_deref().map(|path| -> anyhow::Result<Login> {
             require_private(path)?;
             Ok(textfile::load_toml(path, MOST_LOGIN_BYTES, |_| Ok(()))?.0)
         });
         let sender = Self {
             dial: Dial {
-                address: of.broker.clone(),
-                tls: of.ca.as_deref().map(broker::tls).transpose()?,
-                version: of.version,
-                client: of.name.clone(),
+                address: mqtt.broker.clone(),
+                tls: mqtt.ca.as_deref().map(broker::tls).transpose()?,
+                version: mqtt.version,
+                client: mqtt.name.clone(),
                 login: login.transpose()?,
             },
-            group: of.group.clone(),
-            delivered: of.delivered.clone(),
+            group: mqtt.group.clone(),
+            delivered: mqtt.delivered.clone(),
             history: Mutex::new(HistoryFile::new(&settings.history, seals)),
             standing,
             is_heard: AtomicBool::new(false),

@@ -20,9 +20,9 @@ pub struct Message {
     pub retained: bool,
 }
 
-/// What a broker says.
+/// Packet of a broker, as far as it matters here.
 #[derive(Debug)]
-pub enum Said {
+pub enum BrokerAnswer {
     /// It takes the connection; or why not.
     Connected(Result<(), String>),
     /// It has the message with this number; or why not.
@@ -139,7 +139,10 @@ fn encoded_3(packet: &v3::Packet) -> Result<Vec<u8>, PacketError> {
 }
 
 /// Takes the first packet off the bytes that have arrived, if it is there as a whole.
-pub fn take(version: MqttVersion, arrived: &mut Vec<u8>) -> Result<Option<Said>, PacketError> {
+pub fn take(
+    version: MqttVersion,
+    arrived: &mut Vec<u8>,
+) -> Result<Option<BrokerAnswer>, PacketError> {
     let Some(length) = length(version, arrived)? else {
         return Ok(None);
     };
@@ -151,29 +154,29 @@ pub fn take(version: MqttVersion, arrived: &mut Vec<u8>) -> Result<Option<Said>,
     }
     let packet: Vec<u8> = arrived.drain(..length).collect();
     let malformed = |why: String| PacketError::Malformed { version, why };
-    let said = match version {
+    let answer = match version {
         MqttVersion::V5 => v5::Packet::decode(&packet)
             .map_err(|error| malformed(error.to_string()))?
-            .map(said_5),
+            .map(answer_5),
         MqttVersion::V3 => v3::Packet::decode(&packet)
             .map_err(|error| malformed(error.to_string()))?
-            .map(said_3),
+            .map(answer_3),
     };
     let too_short = || malformed("it ends too early".into());
-    said.ok_or_else(too_short).map(Some)
+    answer.ok_or_else(too_short).map(Some)
 }
 
 /// Bytes of the first packet, as its header says (MQTT 5, section 2.1.4; MQTT 3.1.1, section 2.2.3), once the header is there.
 fn length(version: MqttVersion, arrived: &[u8]) -> Result<Option<usize>, PacketError> {
-    let mut rest = 0;
+    let mut remaining_bytes = 0;
     for (at, byte) in arrived.iter().skip(1).enumerate() {
         if at == 4 {
             let why = "its length has more than four bytes".into();
             return Err(PacketError::Malformed { version, why });
         }
-        rest |= usize::from(byte & 0x7f) << (7 * at);
+        remaining_bytes |= usize::from(byte & 0x7f) << (7 * at);
         if byte & 0x80 == 0 {
-            return Ok(Some(2 + at + rest));
+            return Ok(Some(2 + at + remaining_bytes));
         }
     }
     Ok(None)
@@ -186,46 +189,51 @@ fn unless(holds: bool, code: impl std::fmt::Debug) -> Result<(), String> {
     }
 }
 
-fn said_5(packet: v5::Packet) -> Said {
+fn answer_5(packet: v5::Packet) -> BrokerAnswer {
     use v5::{ConnectReasonCode, PubackReasonCode, SubscribeReasonCode};
     match packet {
-        v5::Packet::Connack(of) => {
-            let code = of.reason_code;
-            Said::Connected(unless(code == ConnectReasonCode::Success, code))
+        v5::Packet::Connack(packet) => {
+            let code = packet.reason_code;
+            BrokerAnswer::Connected(unless(code == ConnectReasonCode::Success, code))
         }
-        v5::Packet::Puback(of) => {
-            let code = of.reason_code;
+        v5::Packet::Puback(packet) => {
+            let code = packet.reason_code;
             let has = matches!(
                 code,
                 PubackReasonCode::Success | PubackReasonCode::NoMatchingSubscribers
             );
-            Said::Published(of.pid.value(), unless(has, code))
+            BrokerAnswer::Published(packet.pid.value(), unless(has, code))
         }
-        v5::Packet::Suback(of) => {
+        v5::Packet::Suback(packet) => {
             let granted = |code: &SubscribeReasonCode| (*code as u8) < 0x80;
-            Said::Subscribed(unless(of.topics.iter().all(granted), of.topics))
+            BrokerAnswer::Subscribed(unless(packet.topics.iter().all(granted), packet.topics))
         }
-        v5::Packet::Publish(of) => Said::Command(of.payload.to_vec(), of.qos_pid.pid()),
-        v5::Packet::Pingresp => Said::Pong,
-        v5::Packet::Disconnect(of) => Said::Closed(format!("{:?}", of.reason_code)),
-        _ => Said::Other,
+        v5::Packet::Publish(packet) => {
+            BrokerAnswer::Command(packet.payload.to_vec(), packet.qos_pid.pid())
+        }
+        v5::Packet::Pingresp => BrokerAnswer::Pong,
+        v5::Packet::Disconnect(packet) => BrokerAnswer::Closed(format!("{:?}", packet.reason_code)),
+        _ => BrokerAnswer::Other,
     }
 }
 
-fn said_3(packet: v3::Packet) -> Said {
+fn answer_3(packet: v3::Packet) -> BrokerAnswer {
     use v3::{ConnectReturnCode, SubscribeReturnCode};
     match packet {
-        v3::Packet::Connack(of) => {
-            Said::Connected(unless(of.code == ConnectReturnCode::Accepted, of.code))
-        }
-        v3::Packet::Puback(pid) => Said::Published(pid.value(), Ok(())),
-        v3::Packet::Suback(of) => {
+        v3::Packet::Connack(packet) => BrokerAnswer::Connected(unless(
+            packet.code == ConnectReturnCode::Accepted,
+            packet.code,
+        )),
+        v3::Packet::Puback(pid) => BrokerAnswer::Published(pid.value(), Ok(())),
+        v3::Packet::Suback(packet) => {
             let granted = |code: &SubscribeReturnCode| *code != SubscribeReturnCode::Failure;
-            Said::Subscribed(unless(of.topics.iter().all(granted), of.topics))
+            BrokerAnswer::Subscribed(unless(packet.topics.iter().all(granted), packet.topics))
         }
-        v3::Packet::Publish(of) => Said::Command(of.payload.to_vec(), of.qos_pid.pid()),
-        v3::Packet::Pingresp => Said::Pong,
-        _ => Said::Other,
+        v3::Packet::Publish(packet) => {
+            BrokerAnswer::Command(packet.payload.to_vec(), packet.qos_pid.pid())
+        }
+        v3::Packet::Pingresp => BrokerAnswer::Pong,
+        _ => BrokerAnswer::Other,
     }
 }
 
@@ -238,14 +246,17 @@ mod tests {
         for version in [MqttVersion::V5, MqttVersion::V3] {
             // Two packets in pieces: an answer to a ping, and the acknowledgement of message 7 (0x0007).
             let mut arrived = Vec::new();
-            let mut said = Vec::new();
+            let mut answers = Vec::new();
             for byte in [0xd0, 0, 0x40, 2, 0, 7] {
                 arrived.push(byte);
-                said.extend(take(version, &mut arrived).unwrap());
+                answers.extend(take(version, &mut arrived).unwrap());
             }
             assert!(
-                matches!(said[..], [Said::Pong, Said::Published(7, Ok(()))]),
-                "{said:?}"
+                matches!(
+                    answers[..],
+                    [BrokerAnswer::Pong, BrokerAnswer::Published(7, Ok(()))]
+                ),
+                "{answers:?}"
             );
             // 0x30: a message; 0x80 0x80 0x04: 65 536 bytes of it.
             let mut large = vec![0x30, 0x80, 0x80, 0x04];
@@ -258,7 +269,10 @@ mod tests {
         }
         // Only MQTT 5 can say no (0x87: not authorized).
         let mut refused = vec![0x40, 3, 0, 7, 0x87];
-        let said = take(MqttVersion::V5, &mut refused).unwrap().unwrap();
-        assert!(matches!(said, Said::Published(7, Err(_))), "{said:?}");
+        let answer = take(MqttVersion::V5, &mut refused).unwrap().unwrap();
+        assert!(
+            matches!(answer, BrokerAnswer::Published(7, Err(_))),
+            "{answer:?}"
+        );
     }
 }

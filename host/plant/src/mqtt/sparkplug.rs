@@ -97,9 +97,9 @@ pub enum Property {
     Text(String),
 }
 
-/// What was last said of a tool.
+/// State of a tool, as it is published.
 #[derive(Debug, PartialEq)]
-struct Said {
+struct PublishedState {
     verdict: Option<Word>,
     worth: Worth,
     latched: Option<i64>,
@@ -110,7 +110,7 @@ struct Said {
 struct Device {
     /// Metrics of flanks that its birth named.
     flanks: BTreeSet<String>,
-    said: Option<Said>,
+    published: Option<PublishedState>,
 }
 
 /// The messages of one connection.
@@ -176,23 +176,23 @@ impl Node {
         station: &StationStatement,
         now: Timestamp,
     ) -> Vec<Message> {
-        let known = station.dies.iter().find(|of| of.last.tool == check.tool);
+        let die = station.dies.iter().find(|die| die.last.tool == check.tool);
         let mut metrics = of_check(check, id);
         let mut messages = Vec::new();
         let is_new =
             |device: &Device| flank_names(check).any(|name| !device.flanks.contains(&name));
         if self.born.get(&check.tool).is_none_or(is_new) {
-            let last = known.map_or(check, |of| &of.last);
-            messages.push(self.device_birth(last, known, check, now));
+            let last = die.map_or(check, |die| &die.last);
+            messages.push(self.device_birth(last, die, check, now));
         }
         // A recording was exposed before it was stored, and is not the tool's last check either.
-        let is_historical = known.is_some_and(|of| check.id != of.last.id)
+        let is_historical = die.is_some_and(|die| check.id != die.last.id)
             || check.origin.kind() == OriginKind::Recording;
         for metric in metrics.iter_mut().filter(|_| is_historical) {
             metric.is_historical = Some(true);
         }
-        if let Some(of) = known.filter(|_| !is_historical) {
-            qualify(&mut metrics, of.worth);
+        if let Some(die) = die.filter(|_| !is_historical) {
+            qualify(&mut metrics, die.worth);
         }
         messages.push(self.data("DDATA", Some(&check.tool), metrics, now));
         messages
@@ -210,21 +210,21 @@ impl Node {
             .keys()
             .map(|tool| self.data("DDEATH", Some(tool), Vec::new(), now));
         let mut messages: Vec<Message> = deaths.collect();
-        for of in &station.dies {
-            let current = Some(said(of));
-            match self.born.get_mut(&of.last.tool) {
-                Some(device) if device.said == current => {}
+        for die in &station.dies {
+            let current = Some(published_state(die));
+            match self.born.get_mut(&die.last.tool) {
+                Some(device) if device.published == current => {}
                 Some(device) => {
-                    device.said = current;
-                    let mut metrics = live(of, now);
+                    device.published = current;
+                    let mut metrics = live(die, now);
                     // What was measured is as old as the verdict on it.
-                    let mut check = of_check(&of.last, "");
+                    let mut check = of_check(&die.last, "");
                     check.retain(|metric| metric.name.as_deref() == Some("Check/Verdict"));
                     metrics.append(&mut check);
-                    qualify(&mut metrics, of.worth);
-                    messages.push(self.data("DDATA", Some(&of.last.tool), metrics, now));
+                    qualify(&mut metrics, die.worth);
+                    messages.push(self.data("DDATA", Some(&die.last.tool), metrics, now));
                 }
-                None => messages.push(self.device_birth(&of.last, Some(of), &of.last, now)),
+                None => messages.push(self.device_birth(&die.last, Some(die), &die.last, now)),
             }
         }
         messages
@@ -242,20 +242,20 @@ impl Node {
     fn device_birth(
         &mut self,
         last: &Check,
-        known: Option<&DieStatement>,
+        die: Option<&DieStatement>,
         follows: &Check,
         now: Timestamp,
     ) -> Message {
-        let mut metrics = match known {
-            Some(of) => live(of, now),
+        let mut metrics = match die {
+            Some(die) => live(die, now),
             None => nothing_stands(now),
         };
         metrics.extend(of_check(last, ""));
-        if let Some(of) = known {
-            qualify(&mut metrics, of.worth);
+        if let Some(die) = die {
+            qualify(&mut metrics, die.worth);
         }
         let before = self.born.remove(&last.tool);
-        let mut flanks: BTreeSet<String> = before.map(|of| of.flanks).unwrap_or_default();
+        let mut flanks: BTreeSet<String> = before.map(|device| device.flanks).unwrap_or_default();
         flanks.extend(flank_names(follows));
         let has: BTreeSet<String> = flank_names(last).collect();
         metrics.extend(
@@ -266,7 +266,7 @@ impl Node {
         flanks.extend(has);
         let device = Device {
             flanks,
-            said: known.map(said),
+            published: die.map(published_state),
         };
         self.born.insert(last.tool.clone(), device);
         self.data("DBIRTH", Some(&last.tool), metrics, now)
@@ -307,8 +307,8 @@ impl Node {
     }
 }
 
-fn said(die: &DieStatement) -> Said {
-    Said {
+fn published_state(die: &DieStatement) -> PublishedState {
+    PublishedState {
         verdict: die.verdict,
         worth: die.worth,
         latched: die.latched.as_ref().map(|no_go| no_go.check),
@@ -331,7 +331,7 @@ fn live(die: &DieStatement, now: Timestamp) -> Vec<Metric> {
 /// Whether the metrics say that a die is good.
 #[cfg(test)]
 pub fn says_good(die: &DieStatement) -> bool {
-    let good = [Word::Go, Word::Warn].map(|of| Some(word(of)));
+    let good = [Word::Go, Word::Warn].map(|verdict| Some(word(verdict)));
     good.contains(&live(die, Timestamp::UNIX_EPOCH)[0].value)
 }
 

@@ -47,8 +47,12 @@ impl CheckEvent {
         let worst = most_worn(check);
         // What was not measured is no number.
         let number = |number: Option<f64>| finite(number).unwrap_or(f64::NAN);
-        let doubles = |of: fn(&flankscope_record::history::FlankRow) -> Option<f64>| {
-            let values: Vec<f64> = check.flanks.iter().map(|flank| number(of(flank))).collect();
+        let doubles = |value: fn(&flankscope_record::history::FlankRow) -> Option<f64>| {
+            let values: Vec<f64> = check
+                .flanks
+                .iter()
+                .map(|flank| number(value(flank)))
+                .collect();
             Variant::from(values)
         };
         let names = check.flanks.iter().map(|flank| flank.id.to_string().into());

@@ -81,17 +81,17 @@ impl OpcuaServer {
     /// A file cannot be read or written, lets others read a secret, or is not what it should be.
     pub fn new(
         settings: &Settings,
-        of: &OpcuaSettings,
+        opcua: &OpcuaSettings,
         seals: Seals,
         standing: watch::Receiver<Arc<Standing>>,
     ) -> anyhow::Result<Self> {
-        let ip = of.listen.ip();
-        let host = of.name.clone().unwrap_or_else(|| ip.to_string());
-        let certificates = Certificates::prepare(&of.certificates, &host, ip.is_loopback())?;
+        let ip = opcua.listen.ip();
+        let host = opcua.name.clone().unwrap_or_else(|| ip.to_string());
+        let certificates = Certificates::prepare(&opcua.certificates, &host, ip.is_loopback())?;
         tracing::info!("opcua: own certificate {}", certificates.thumbprint()?);
         Ok(Self {
             host,
-            users: Authenticator(Arc::new(UsersFile::open(&of.users)?)),
+            users: Authenticator(Arc::new(UsersFile::open(&opcua.users)?)),
             certificates,
             acknowledging: Acknowledging {
                 history: settings.history.clone(),
@@ -220,8 +220,8 @@ impl Drop for Cancel {
 async fn prune(certificates: Certificates) -> anyhow::Result<()> {
     loop {
         sleep(PRUNE_EVERY).await;
-        let of = certificates.clone();
-        if let Err(error) = tokio::task::spawn_blocking(move || of.prune()).await? {
+        let certificates = certificates.clone();
+        if let Err(error) = tokio::task::spawn_blocking(move || certificates.prune()).await? {
             tracing::warn!("opcua: refused certificates: {error}");
         }
     }

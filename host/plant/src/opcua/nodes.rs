@@ -85,8 +85,8 @@ impl PlantNodes {
 
     /// Does what a call asks for.
     async fn run(&self, user: &User, call: &MethodCall) -> Result<(), StatusCode> {
-        let of = call.method_id().to_string();
-        let found = self.methods.read().get(&of).cloned();
+        let method_id = call.method_id().to_string();
+        let found = self.methods.read().get(&method_id).cloned();
         let (method, tool) = found.ok_or(StatusCode::BadMethodInvalid)?;
         match method {
             Method::Acknowledge => self.acknowledge(user, tool, call.arguments()).await,

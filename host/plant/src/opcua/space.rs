@@ -247,11 +247,11 @@ impl Value {
 
 impl Nodes {
     fn child(&self, parent: &NodeId, name: &str) -> NodeId {
-        let of = match &parent.identifier {
-            opcua::types::Identifier::String(of) => of.as_ref(),
+        let parent_name = match &parent.identifier {
+            opcua::types::Identifier::String(parent_name) => parent_name.as_ref(),
             _ => "",
         };
-        NodeId::new(self.names.own, format!("{of}/{}", part(name)))
+        NodeId::new(self.names.own, format!("{parent_name}/{}", part(name)))
     }
 
     fn object(
@@ -444,42 +444,46 @@ impl Nodes {
             Some(id) => CheckResult::new(last, &id).variant(),
             None => Variant::Empty,
         };
-        let known = match structure {
+        let result_status = match structure {
             Variant::Empty => StatusCode::BadNoData,
             _ => status,
         };
         let result = Value {
             data_type: types.result(),
-            ..Value::new(DataTypeId::Structure, structure, known)
+            ..Value::new(DataTypeId::Structure, structure, result_status)
         };
         self.variable(latest, "Result", result);
-        let of = |data_type, value: Variant| Value::new(data_type, value, status);
+        let with_status = |data_type, value: Variant| Value::new(data_type, value, status);
         let details = LocalizedText::new("en", &last.reason);
         for (name, value) in [
-            ("ResultId", Value::new(DataTypeId::String, id_text, known)),
-            ("Number", of(DataTypeId::Int64, last.id.into())),
+            (
+                "ResultId",
+                Value::new(DataTypeId::String, id_text, result_status),
+            ),
+            ("Number", with_status(DataTypeId::Int64, last.id.into())),
             (
                 "CreationTime",
-                of(DataTypeId::UtcTime, types::time(last).into()),
+                with_status(DataTypeId::UtcTime, types::time(last).into()),
             ),
             (
                 "ResultEvaluation",
                 Value {
                     data_type: types.evaluation(),
-                    ..of(DataTypeId::Int32, evaluation(last.verdict).into()).safe(UNDEFINED)
+                    ..with_status(DataTypeId::Int32, evaluation(last.verdict).into())
+                        .safe(UNDEFINED)
                 },
             ),
             (
                 "ResultEvaluationDetails",
-                of(DataTypeId::LocalizedText, details.into()),
+                with_status(DataTypeId::LocalizedText, details.into()),
             ),
             (
                 "Verdict",
-                of(DataTypeId::String, last.verdict.as_str().into()).safe(""),
+                with_status(DataTypeId::String, last.verdict.as_str().into()).safe(""),
             ),
             (
                 "IsSimulated",
-                of(DataTypeId::Boolean, last.origin.simulated.into()),
+                with_status(DataTypeId::Boolean, last.origin.simulated.into()),
             ),
         ] {
             self.variable(latest, name, value);
@@ -492,7 +496,7 @@ impl Nodes {
 
     fn characteristic(&mut self, folder: &NodeId, flank: &FlankRow, status: StatusCode) {
         let name = flank.id.to_string();
-        let of = self.part(folder, &name, ObjectTypeId::BaseObjectType);
+        let characteristic = self.part(folder, &name, ObjectTypeId::BaseObjectType);
         for (name, number) in [
             ("ResultValue", flank.wear_um),
             ("ExpandedUncertainty", flank.u95_um),
@@ -504,7 +508,13 @@ impl Nodes {
                 ReferenceTypeId::HasComponent,
                 VariableTypeId::AnalogUnitType,
             );
-            let variable = self.any_variable(&of, place, (self.names.own, name), definition, value);
+            let variable = self.any_variable(
+                &characteristic,
+                place,
+                (self.names.own, name),
+                definition,
+                value,
+            );
             let unit = Value::good(
                 DataTypeId::EUInformation,
                 ExtensionObject::from_message(micrometre()),
@@ -515,7 +525,7 @@ impl Nodes {
             data_type: self.types().evaluation(),
             ..Value::new(DataTypeId::Int32, evaluation(flank.verdict), status).safe(UNDEFINED)
         };
-        self.variable(&of, "ResultEvaluation", value);
+        self.variable(&characteristic, "ResultEvaluation", value);
     }
 
     fn types(&self) -> Types {

@@ -69,7 +69,9 @@ impl Names {
     }
 
     fn holds(&self, host: &str) -> bool {
-        self.hosts.iter().any(|of| of.eq_ignore_ascii_case(host))
+        self.hosts
+            .iter()
+            .any(|known_host| known_host.eq_ignore_ascii_case(host))
     }
 }
 

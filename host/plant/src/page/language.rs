@@ -38,11 +38,11 @@ impl Language {
 
     /// Its tag.
     pub fn tag(self) -> &'static str {
-        self.of("en", "de")
+        self.choose("en", "de")
     }
 
     /// The one of two texts that is in this language.
-    pub fn of<'a>(self, english: &'a str, german: &'a str) -> &'a str {
+    pub fn choose<'a>(self, english: &'a str, german: &'a str) -> &'a str {
         match self {
             Self::English => english,
             Self::German => german,

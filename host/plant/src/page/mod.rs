@@ -273,10 +273,10 @@ struct Acknowledged {
 async fn acknowledge(
     State(site): State<Arc<Site>>,
     Extension(user): Extension<User>,
-    Form(said): Form<Acknowledged>,
+    Form(form): Form<Acknowledged>,
 ) -> Result<Redirect, Failed> {
     let acknowledging = site.acknowledging.clone();
-    let stored = move || acknowledging.store(&user, said.check, None, &said.reason);
+    let stored = move || acknowledging.store(&user, form.check, None, &form.reason);
     tokio::task::spawn_blocking(stored).await??;
     Ok(Redirect::to("/"))
 }
@@ -400,10 +400,10 @@ async fn checks(
         before,
     } = filter;
     let tool = tool.filter(|tool| !tool.is_empty());
-    let of = tool.clone();
+    let wanted_tool = tool.clone();
     let (tools, listed) = site
         .ask(move |history| {
-            let listed = history.listed(of.as_deref(), verdict, before, LISTED)?;
+            let listed = history.listed(wanted_tool.as_deref(), verdict, before, LISTED)?;
             Ok((history.tools()?, listed))
         })
         .await?;

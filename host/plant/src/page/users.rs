@@ -92,8 +92,8 @@ pub async fn revoked(
     Extension(user): Extension<User>,
     Form(Of { name }): Form<Of>,
 ) -> Result<Redirect, Failed> {
-    let of = name.clone();
-    change(&site, &user, move |path| Users::revoke(path, &of)).await?;
+    let revoked_name = name.clone();
+    change(&site, &user, move |path| Users::revoke(path, &revoked_name)).await?;
     tracing::info!("{} revoked the token of {name}", user.name);
     Ok(Redirect::to("/users"))
 }

@@ -205,16 +205,18 @@ fn tile(die: &DieStatement, lang: Language) -> Tile {
     let is_recording = die.origin == OriginKind::Recording;
     let age = match die.age {
         Some(age) => ago(age.as_secs(), lang),
-        None => lang.of("at an unknown time", "zu unbekannter Zeit").into(),
+        None => lang
+            .choose("at an unknown time", "zu unbekannter Zeit")
+            .into(),
     };
     let (badge, word) = match (die.verdict, die.worth) {
         (Some(word), _) => (word.as_str(), shown(word, lang)),
-        (None, Worth::Stale) => ("old", lang.of("TOO OLD", "ZU ALT")),
-        (None, _) if is_recording => ("old", lang.of("RECORDING", "AUFNAHME")),
-        (None, _) => ("old", lang.of("UNKNOWN", "UNBEKANNT")),
+        (None, Worth::Stale) => ("old", lang.choose("TOO OLD", "ZU ALT")),
+        (None, _) if is_recording => ("old", lang.choose("RECORDING", "AUFNAHME")),
+        (None, _) => ("old", lang.choose("UNKNOWN", "UNBEKANNT")),
     };
     let not_counting = die.verdict.is_none().then(|| {
-        let before = lang.of("last", "zuletzt");
+        let before = lang.choose("last", "zuletzt");
         let why = die.worth.doubt().map_or("", |doubt| doubted(doubt, lang));
         format!("{before} {}, {age}{why}", shown(last.verdict, lang))
     });
@@ -241,11 +243,11 @@ fn tile(die: &DieStatement, lang: Language) -> Tile {
         worst: most_worn(last).map(|flank| worn(flank, lang)),
         particulars: format!(
             "{} {} · {} {} · {} {}",
-            lang.of("station", "Station"),
+            lang.choose("station", "Station"),
             last.origin.station,
-            lang.of("head", "Messkopf"),
+            lang.choose("head", "Messkopf"),
             last.origin.head.name,
-            lang.of("press cycles", "Pressenhübe"),
+            lang.choose("press cycles", "Pressenhübe"),
             last.tool_cycles,
         ),
         counts: die
@@ -260,19 +262,19 @@ fn tile(die: &DieStatement, lang: Language) -> Tile {
 /// Why the age of a check is not believed, after a comma.
 fn doubted(doubt: Doubt, lang: Language) -> &'static str {
     match doubt {
-        Doubt::Recording => lang.of(
+        Doubt::Recording => lang.choose(
             ", from recorded frames, not from the press",
             ", aus aufgezeichneten Bildern, nicht von der Presse",
         ),
-        Doubt::ClockAhead => lang.of(
+        Doubt::ClockAhead => lang.choose(
             ", with a date in the future: set the clock right",
             ", mit einem Datum in der Zukunft: Uhr richtig stellen",
         ),
-        Doubt::ClockSetBack => lang.of(
+        Doubt::ClockSetBack => lang.choose(
             ", and the clock was set back since then: the next check counts again",
             ", und die Uhr wurde seitdem zurückgestellt: Die nächste Prüfung gilt wieder",
         ),
-        Doubt::BeforeBoot => lang.of(
+        Doubt::BeforeBoot => lang.choose(
             ", before this computer was started: the next check counts again",
             ", vor dem Start dieses Rechners: Die nächste Prüfung gilt wieder",
         ),
@@ -282,9 +284,9 @@ fn doubted(doubt: Doubt, lang: Language) -> &'static str {
 fn shown(word: Word, lang: Language) -> &'static str {
     match word {
         Word::Go => "GO",
-        Word::Warn => lang.of("WARN", "WARNUNG"),
+        Word::Warn => lang.choose("WARN", "WARNUNG"),
         Word::NoGo => "NO-GO",
-        Word::Indeterminate => lang.of("INDETERMINATE", "UNENTSCHIEDEN"),
+        Word::Indeterminate => lang.choose("INDETERMINATE", "UNENTSCHIEDEN"),
     }
 }
 
@@ -294,7 +296,7 @@ fn ago(age_s: u64, lang: Language) -> String {
         0..120 => (age_s, "s"),
         120..7200 => (age_s / 60, "min"),
         7200..172_800 => (age_s / 3600, "h"),
-        _ => (age_s / 86_400, lang.of("days", "Tagen")),
+        _ => (age_s / 86_400, lang.choose("days", "Tagen")),
     };
     match lang {
         Language::English => format!("{number} {unit} ago"),
@@ -307,7 +309,7 @@ fn worn(flank: &FlankRow, lang: Language) -> String {
         "{}: {} µm, {} {:.0} µm",
         flank.id,
         wear(flank),
-        lang.of("stop at", "Stopp bei"),
+        lang.choose("stop at", "Stopp bei"),
         flank.limit_um
     )
 }
@@ -439,7 +441,7 @@ mod tests {
         let page = now.render().unwrap();
         let alarms = page.split("<li class=\"alarm\">").skip(1);
         alarms
-            .map(|rest| rest.split('<').next().unwrap().to_owned())
+            .map(|alarm| alarm.split('<').next().unwrap().to_owned())
             .collect()
     }
 

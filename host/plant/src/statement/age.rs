@@ -169,9 +169,9 @@ impl Tracker {
         for (checks, _) in &facts.tools {
             let Some(check) = &checks.check else { continue };
             let exposure = checks.exposure.as_ref();
-            let known = self.sights.remove(&check.tool);
-            let known = known.filter(|known| known.check == (check.id, check.at.clone()));
-            let sight = known.unwrap_or_else(|| {
+            let sight = self.sights.remove(&check.tool);
+            let sight = sight.filter(|sight| sight.check == (check.id, check.at.clone()));
+            let sight = sight.unwrap_or_else(|| {
                 let mut sight = Sight::new(check, exposure, now);
                 // The clock is behind a date that this computer wrote, and the check states nothing better.
                 if is_behind && exposure.is_none() && sight.age_then.is_ok() {

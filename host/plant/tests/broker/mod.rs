@@ -110,8 +110,8 @@ impl Heard {
         let mut heard = Vec::new();
         let end = Instant::now() + AT_MOST;
         loop {
-            let rest = end.saturating_duration_since(Instant::now());
-            let Ok(line) = self.lines.recv_timeout(rest) else {
+            let remaining = end.saturating_duration_since(Instant::now());
+            let Ok(line) = self.lines.recv_timeout(remaining) else {
                 let last = heard.len().saturating_sub(5);
                 panic!("not heard; the last messages were {:#?}", &heard[last..]);
             };
@@ -154,16 +154,19 @@ impl Cable {
                     continue;
                 };
                 let bytes = (random.lock().unwrap().uniform() * most_bytes as f64) as usize;
-                let rest = Arc::new(AtomicUsize::new(1 + bytes));
+                let remaining = Arc::new(AtomicUsize::new(1 + bytes));
                 let arrives = random.lock().unwrap().uniform() < 0.5;
                 let ways = [
                     (near.try_clone().unwrap(), far.try_clone().unwrap(), arrives),
                     (far, near, false),
                 ];
                 for (from, to, arrives) in ways {
-                    let (rest, cuts, whole) =
-                        (Arc::clone(&rest), Arc::clone(&cuts), Arc::clone(&whole));
-                    thread::spawn(move || carry(from, to, arrives, &rest, &cuts, &whole));
+                    let (remaining, cuts, whole) = (
+                        Arc::clone(&remaining),
+                        Arc::clone(&cuts),
+                        Arc::clone(&whole),
+                    );
+                    thread::spawn(move || carry(from, to, arrives, &remaining, &cuts, &whole));
                 }
             }
         });
@@ -185,14 +188,14 @@ fn carry(
     mut from: TcpStream,
     mut to: TcpStream,
     arrives: bool,
-    rest: &AtomicUsize,
+    remaining: &AtomicUsize,
     cuts: &AtomicUsize,
     whole: &AtomicUsize,
 ) {
     let mut bytes = [0; 4096];
     while let Ok(got @ 1..) = from.read(&mut bytes) {
-        let take = |rest: usize| Some(rest.saturating_sub(got));
-        let before = rest.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take);
+        let take = |remaining: usize| Some(remaining.saturating_sub(got));
+        let before = remaining.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take);
         let before = before.unwrap_or(0);
         let breaks = before < got && whole.load(Ordering::SeqCst) == 0;
         let carried = match breaks && !(arrives && before > 0) {

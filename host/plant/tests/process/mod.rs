@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use flankscope_tests::{Killed, state};
+use rustix::process::{Pid, Signal, kill_process};
 
 /// Longest time for anything that is waited for.
 pub const AT_MOST: Duration = Duration::from_secs(30);
@@ -35,18 +36,24 @@ impl Plant {
         }
     }
 
+    /// Stops it, without ending its connections.
+    #[allow(dead_code)]
+    pub fn stop(&self) {
+        kill_process(Pid::from_child(&self.process.0), Signal::STOP).unwrap();
+    }
+
     /// Waits until it says this, and returns all that it said.
     pub fn says(&mut self, wanted: &str) -> String {
-        let mut said = String::new();
+        let mut printed = String::new();
         let end = Instant::now() + AT_MOST;
-        while !said.contains(wanted) {
-            let rest = end.saturating_duration_since(Instant::now());
-            match self.words.recv_timeout(rest) {
-                Ok(line) => said += &line,
-                Err(_) => panic!("no '{wanted}' in {said}"),
+        while !printed.contains(wanted) {
+            let remaining = end.saturating_duration_since(Instant::now());
+            match self.words.recv_timeout(remaining) {
+                Ok(line) => printed += &line,
+                Err(_) => panic!("no '{wanted}' in {printed}"),
             }
         }
-        said
+        printed
     }
 
     pub fn lives(&mut self) -> bool {

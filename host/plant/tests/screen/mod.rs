@@ -157,7 +157,7 @@ impl Screen {
 
     /// Waits until an element shows this text.
     pub fn until_shown(&mut self, selector: &str, text: &str) {
-        let [selector, text] = [selector, text].map(|of| Value::from(of).to_string());
+        let [selector, text] = [selector, text].map(|text| Value::from(text).to_string());
         self.until(&format!(
             "(document.querySelector({selector})?.innerText ?? \"\").includes({text})"
         ));

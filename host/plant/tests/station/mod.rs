@@ -65,7 +65,7 @@ impl Station {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let mut printed = Printed::of(&mut child);
+        let mut printed = Printed::by_child(&mut child);
         Plant {
             page: printed.address("page     http"),
             modbus: printed.address("modbus"),
@@ -79,21 +79,21 @@ impl Station {
 pub struct Printed(Lines<BufReader<ChildStdout>>);
 
 impl Printed {
-    pub fn of(child: &mut Child) -> Self {
+    pub fn by_child(child: &mut Child) -> Self {
         Self(BufReader::new(child.stdout.take().unwrap()).lines())
     }
 
     /// What follows these words in the next line.
     pub fn after(&mut self, words: &str) -> String {
         let line = self.0.next().unwrap().unwrap();
-        let said = line.strip_prefix(words);
-        said.unwrap_or_else(|| panic!("{line}")).trim().into()
+        let address = line.strip_prefix(words);
+        address.unwrap_or_else(|| panic!("{line}")).trim().into()
     }
 
     pub fn address(&mut self, words: &str) -> SocketAddr {
-        let said = self.after(words);
-        let said = said.trim_start_matches('s').trim_start_matches("://");
-        said.trim_end_matches('/').parse().unwrap()
+        let address = self.after(words);
+        let address = address.trim_start_matches('s').trim_start_matches("://");
+        address.trim_end_matches('/').parse().unwrap()
     }
 }
 

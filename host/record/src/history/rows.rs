@@ -11,7 +11,7 @@ use super::same_die::{columns, same, same_as_asked};
 use super::store::History;
 use crate::die::DieKey;
 use crate::document::{FeatureId, LastExposure};
-use crate::origin::{HeadId, Origin, OriginKind};
+use crate::origin::{HeadId, Origin, OriginKind, RECORDED_LINKS};
 use crate::seal::StandingNoGo;
 
 /// A stored check.
@@ -427,15 +427,16 @@ impl History {
             .map_err(self.because("read its acknowledgements"))
     }
 
-    /// The unacknowledged verdicts of a die, in order.
+    /// The unacknowledged verdicts of a die, in order. Recordings are left out: they neither set nor clear a latch.
     ///
     /// # Errors
     /// The file cannot be read.
     pub fn open_verdicts(&self, die: &DieKey) -> Result<Vec<Word>, HistoryError> {
         self.rows(
             &format!(
-                "SELECT verdict FROM inspection WHERE {} AND NOT {} ORDER BY id",
+                "SELECT verdict FROM inspection WHERE {} AND {} AND NOT {} ORDER BY id",
                 same_as_asked("inspection"),
+                not_recorded(),
                 acknowledged()
             ),
             params![die.tool, die.geometry, die.serial],
@@ -443,15 +444,16 @@ impl History {
         )
     }
 
-    /// Unacknowledged no-gos, the newest of each die.
+    /// Unacknowledged no-gos of the press or the bench, the newest of each die. A no-go of a recording is not among them.
     ///
     /// # Errors
     /// The file cannot be read.
     pub fn standing_no_gos(&self) -> Result<Vec<StandingNoGo>, HistoryError> {
         self.rows(
             &format!(
-                "SELECT tool, geometry, serial, max(id), at FROM inspection WHERE verdict = 'no-go' AND NOT {} \
+                "SELECT tool, geometry, serial, max(id), at FROM inspection WHERE verdict = 'no-go' AND {} AND NOT {} \
                  GROUP BY tool, geometry, serial ORDER BY max(id) DESC",
+                not_recorded(),
                 acknowledged()
             ),
             [],
@@ -504,6 +506,12 @@ impl History {
         };
         read().map_err(self.because("read it"))
     }
+}
+
+/// SQL condition: a check is not a recording.
+pub(super) fn not_recorded() -> String {
+    let [frames, clouds] = RECORDED_LINKS;
+    format!("inspection.link NOT IN ('{frames}', '{clouds}')")
 }
 
 /// SQL condition: a check was acknowledged by a later entry for the same die.

@@ -12,12 +12,13 @@ use rusqlite::{
 use super::chain::{self, Row};
 use super::dates::dated_before;
 use super::error::HistoryError;
+use super::rows::not_recorded;
 use super::same_die::same_as_asked;
 use super::schema::{self, APPLICATION_ID, VERSION};
 use crate::beside::beside;
 use crate::die::DieKey;
 use crate::document::Inspection;
-use crate::origin::Origin;
+use crate::origin::{Origin, OriginKind};
 use crate::seal::{Seals, StandingNoGo};
 
 /// How long a writer waits for another one. Readers neither wait nor block a writer.
@@ -250,7 +251,7 @@ impl History {
     /// Stores a check atomically; on return it is on disk. Returns its number.
     ///
     /// `tool_cycles` is the number of cycles done with the tool. Without it, cycles are counted on from the last stored check by
-    /// the controller's counter, which starts at zero at its power-up.
+    /// the controller's counter, which starts at zero at its power-up. Recordings do not change the count of checks at the press.
     ///
     /// # Errors
     /// The disk is full, the file is locked for too long, has checks of the other kind, or another error occurred. Nothing of the
@@ -296,11 +297,15 @@ impl History {
             serial,
         } = &inspection.die;
         let counter = i64::from(inspection.press_cycles);
+        let counted = match inspection.origin.kind() {
+            OriginKind::Recording => "TRUE".into(),
+            OriginKind::Press | OriginKind::Bench => not_recorded(),
+        };
         let last: Option<(i64, i64)> = self
             .connection
             .query_row(
                 &format!(
-                    "SELECT tool_cycles, press_cycles FROM inspection WHERE {} ORDER BY id DESC LIMIT 1",
+                    "SELECT tool_cycles, press_cycles FROM inspection WHERE {} AND {counted} ORDER BY id DESC LIMIT 1",
                     same_as_asked("inspection")
                 ),
                 params![tool, geometry, serial],
