@@ -362,7 +362,7 @@ impl MountPose {
             stated
         };
         let (drifts, remounted) = seen.drifts(scales_mm, mount_mm);
-        if !(remounted < 0.5) {
+        if remounted.is_nan() || remounted >= 0.5 {
             return None;
         }
         let expected = self.expected(stages);
