@@ -1,6 +1,6 @@
 //! `flankscope history`: the wear trend of a tool.
 
-use std::io::Write;
+use std::io::{StdoutLock, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -8,7 +8,7 @@ use flankscope_foundation::display::plain;
 use flankscope_foundation::files::stream_whole;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_record::history::{
-    Check, Forecast, History, LEAST_POINTS, clock_set_back, csv, series,
+    Check, Forecast, History, LEAST_POINTS, clock_set_back, csv, series, sides,
 };
 use flankscope_report::{Words, figure, history_html, rate, remaining};
 use serde_json::json;
@@ -68,7 +68,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let checks = history.checks(tool)?;
     let acknowledgements = history.acknowledgements(tool)?;
-    let forecasts: Vec<Forecast> = series(&checks).into_iter().map(Forecast::of).collect();
+    let series = series(&checks);
+    let sides = sides(&series)
+        .into_iter()
+        .map(|(mean, worst)| (Forecast::of(mean), worst.id.tooth))
+        .collect::<Vec<_>>();
+    let forecasts: Vec<Forecast> = series.into_iter().map(Forecast::of).collect();
     if let Some(path) = &args.csv {
         stream_whole(path, |out| csv(&checks, out))
             .with_context(|| format!("cannot write {}", path.display()))?;
@@ -94,7 +99,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "clock_set_back": clock_set_back(&checks),
     }))?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print_table(tool, &checks, &forecasts, args)?;
+        print_table(tool, &checks, &sides, &forecasts, args)?;
     }
     Ok(Outcome::Done)
 }
@@ -110,6 +115,7 @@ fn listed(tools: &[String]) -> String {
 fn print_table(
     tool: &str,
     checks: &[Check],
+    sides: &[(Forecast, u32)],
     forecasts: &[Forecast],
     args: &Args,
 ) -> anyhow::Result<()> {
@@ -138,21 +144,25 @@ fn print_table(
         "{:>5}  {:<wide$}  figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, at least (95 %)    changes at check",
         words.number, words.one
     )?;
-    for o in forecasts {
+    let row = |out: &mut StdoutLock<'_>, number: &str, o: &Forecast, remark: &str| {
         let last = o.points.last();
-        let changes: Vec<String> = o.changes.iter().map(i64::to_string).collect();
         writeln!(
             out,
-            "{:>5}  {:<wide$} {:>8} {:>8} {:>6}  {:<27} {:<31} {}",
-            o.id.tooth,
+            "{number:>5}  {:<wide$} {:>8} {:>8} {:>6}  {:<27} {:<31} {remark}",
             plain(o.id.side()),
             o.points.len(),
             figure(last.map(|p| p.wear_um)),
             figure(last.map(|p| COVERAGE_95 * p.u_um)),
             rate(o),
             remaining(o),
-            changes.join(", ")
-        )?;
+        )
+    };
+    for (mean, worst) in sides {
+        row(&mut out, "mean", mean, &format!("most at tooth {worst}"))?;
+    }
+    for o in forecasts {
+        let changes: Vec<String> = o.changes.iter().map(i64::to_string).collect();
+        row(&mut out, &o.id.tooth.to_string(), o, &changes.join(", "))?;
     }
     if forecasts.iter().any(|o| o.trend.is_none()) {
         writeln!(

@@ -124,14 +124,14 @@ fn the_readme_s_first_steps_lead_where_it_says() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let steps = [("inspect", 2), ("watch", 2), ("history", 1), ("replay", 1)];
+    let steps = [("inspect", 3), ("watch", 2), ("history", 1), ("replay", 1)];
     for (name, count) in steps {
         let lines = shell_lines("README.md");
         let ours = lines
             .iter()
             .filter_map(|line| arguments(line))
             .filter(|a| a[0] == name);
-        // Those that need no file of the reader's, and no emulator; of watches the one that keeps a history.
+        // Those that need no calibration, and no emulator; of watches the one that keeps a history.
         let ours = ours.filter(|a| {
             !["--head", "qemu"]
                 .iter()
@@ -147,7 +147,7 @@ fn the_readme_s_first_steps_lead_where_it_says() {
             let done = run(command.args(&arguments).current_dir(folder.path()));
             let expected: &[i32] = match arguments.join(" ").contains("40:left:80") {
                 true => &[1],
-                // A wear of 48 µm at the end of the watch, warned of.
+                // A wear of 48 µm on all left flanks at the end of the watch, warned of.
                 false if name == "watch" => &[0, 1, 2, 4],
                 false => &[0],
             };

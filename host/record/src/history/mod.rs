@@ -62,7 +62,7 @@ pub use remaining::Passage;
 pub use retention::Retention;
 pub use row_differences::{Difference, row_differences};
 pub use rows::{Acknowledgement, Check, FlankRow, LastChecks};
-pub use series::{Point, Series, series};
+pub use series::{Point, Series, series, sides};
 pub use store::History;
 pub use trend::{LEAST_POINTS, Trend};
 pub use writer::HistoryWriter;

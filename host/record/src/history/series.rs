@@ -89,3 +89,84 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
     }
     flanks.into_values().collect()
 }
+
+/// For each side of which several teeth are looked at, the mean over them at every check that measured all, and the one that wore most.
+/// Their errors are mostly shared, so that the mean is no better known than they are.
+#[must_use]
+pub fn sides(series: &[Series]) -> Vec<(Series, &Series)> {
+    let of_side = |side: Flank| {
+        let is_of = |of: &&Series| of.id.patch.is_none() && of.id.flank == side;
+        let teeth: Vec<&Series> = series.iter().filter(is_of).collect();
+        let first = teeth.first().filter(|_| teeth.len() > 1)?;
+        let at = |point: &Point| {
+            let same = |of: &&Series| of.points.iter().find(|other| other.check == point.check);
+            let all: Option<Vec<&Point>> = teeth.iter().map(|of| same(&of)).collect();
+            let all = all?;
+            let mean = |of: fn(&Point) -> f64| {
+                all.iter().map(|point| of(point)).sum::<f64>() / all.len() as f64
+            };
+            Some(Point {
+                wear_um: mean(|of| of.wear_um),
+                u_um: mean(|of| of.u_um),
+                ..*point
+            })
+        };
+        let last_um = |of: &Series| of.points.last().map_or(f64::NEG_INFINITY, |at| at.wear_um);
+        let worst = teeth
+            .iter()
+            .copied()
+            .max_by(|a, b| last_um(a).total_cmp(&last_um(b)))?;
+        let mean = Series {
+            id: worst.id.clone(),
+            points: first.points.iter().filter_map(at).collect(),
+            ..**first
+        };
+        Some((mean, worst))
+    };
+    Flank::BOTH.into_iter().filter_map(of_side).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flank(tooth: u32, side: Flank, values: &[(i64, f64)]) -> Series {
+        let point = |&(check, wear_um): &(i64, f64)| Point {
+            check,
+            cycles: 10.0 * check as f64,
+            wear_um,
+            u_um: f64::from(tooth) / 10.0,
+        };
+        Series {
+            id: FeatureId {
+                tooth,
+                flank: side,
+                patch: None,
+            },
+            warn_um: 30.0,
+            limit_um: 50.0,
+            points: values.iter().map(point).collect(),
+        }
+    }
+
+    #[test]
+    fn mean_of_a_side_is_that_of_checks_which_measured_all_of_it() {
+        let series = [
+            flank(12, Flank::Left, &[(1, 1.0), (2, 3.0), (3, 5.0)]),
+            flank(40, Flank::Left, &[(1, 2.0), (3, 9.0)]),
+            flank(40, Flank::Right, &[(1, 0.0)]),
+        ];
+        let sides = sides(&series);
+        let [(mean, worst)] = &sides[..] else {
+            panic!("one side has two teeth: {sides:?}")
+        };
+        assert_eq!(worst.id.tooth, 40);
+        let points: Vec<(i64, f64, f64)> = mean
+            .points
+            .iter()
+            .map(|at| (at.check, at.wear_um, at.u_um))
+            .collect();
+        assert_eq!(points, [(1, 1.5, 2.6), (3, 7.0, 2.6)]);
+        assert!(super::sides(&series[1..]).is_empty());
+    }
+}
