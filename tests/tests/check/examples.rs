@@ -131,7 +131,7 @@ fn the_readme_s_first_steps_lead_where_it_says() {
             .iter()
             .filter_map(|line| arguments(line))
             .filter(|a| a[0] == name);
-        // Those that need no calibration, and no emulator; of watches the one that keeps a history.
+        // Lines without a calibration and an emulator; of watches the one that keeps a history.
         let ours = ours.filter(|a| {
             !["--head", "qemu"]
                 .iter()

@@ -93,7 +93,7 @@ pub(super) struct Trouble {
     pub turned_rad: f64,
     /// Fraction of the light that is missing.
     pub dimmed: f64,
-    /// How the stages' errors repeat; none: they are drawn anew at each approach.
+    /// Repeating errors of the stages; none: all are drawn anew at each approach.
     pub stages: Option<Repeating>,
 }
 
@@ -161,15 +161,17 @@ impl Instrument {
         trouble: Trouble,
     ) -> anyhow::Result<ViewState> {
         let anew = Random::new(draw, 1 + number as u64);
-        let mut random = trouble
-            .stages
-            .map_or([(1.0, anew.clone()), (0.0, anew.clone())], |of| {
-                let repeated = Random::new(of.seed, 1 + number as u64);
-                [(of.share, anew), (1.0 - of.share, repeated)]
-            });
+        let mut random =
+            trouble
+                .stages
+                .map_or([(1.0, anew.clone()), (0.0, anew.clone())], |stages| {
+                    let repeated = Random::new(stages.seed, 1 + number as u64);
+                    [(stages.share, anew), (1.0 - stages.share, repeated)]
+                });
         let mut error = || -> f64 {
-            let of = |(share, random): &mut (f64, Random)| *share * (2.0 * random.uniform() - 1.0);
-            random.iter_mut().map(of).sum()
+            let part =
+                |(share, random): &mut (f64, Random)| *share * (2.0 * random.uniform() - 1.0);
+            random.iter_mut().map(part).sum()
         };
         let view = self.plan.all_views().nth(number);
         let view = view.context("a view of the plan")?;

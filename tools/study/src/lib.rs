@@ -55,7 +55,7 @@ pub enum Subject {
     Resolution,
     /// How often dies of families drawn at random are passed.
     Families,
-    /// How often dies whose teeth all wear are judged right, by what is known of them.
+    /// Dies whose teeth all wear: how often the verdict is right, with a baseline, with a datum band, and without.
     Press,
 }
 

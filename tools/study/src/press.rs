@@ -29,7 +29,7 @@ const NEAR_UM: f64 = 8.0;
 /// Above the datum band, which the press does not load, wear begins over this height, mm from the middle of the view.
 const ABOVE_BAND_MM: [f64; 2] = [-0.2, 0.3];
 
-/// What the instrument knows of the die beside its CAD.
+/// Knowledge of the die beside its CAD.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Knows {
     Cad,
@@ -88,7 +88,7 @@ impl Side {
     }
 }
 
-/// How the die lies before the head at the check, relative to where it lay at the baseline.
+/// Motion of the die from where it lay at the baseline to where it lies at the check.
 #[derive(Clone, Copy)]
 struct Moved {
     by: Isometry3<f64>,
@@ -336,18 +336,18 @@ fn page(args: &Args, draws: &[Draw]) -> anyhow::Result<String> {
             ("put back", &f64::is_infinite),
         ];
         for (mounting, is_of) in kinds {
-            let of: Vec<&Draw> = draws
+            let row: Vec<&Draw> = draws
                 .iter()
                 .filter(|draw| draw.knows == knows && is_of(draw.moved_um))
                 .collect();
-            if of.is_empty() {
+            if row.is_empty() {
                 continue;
             }
-            let count = |among: &dyn Fn(&Draw) -> bool| of.iter().filter(|d| among(d)).count();
+            let count = |among: &dyn Fn(&Draw) -> bool| row.iter().filter(|d| among(d)).count();
             let beyond = count(&|draw| draw.truth_um > LIMIT_UM);
             let go = count(&Draw::is_false_go);
             let far = |among: &dyn Fn(&Draw) -> bool| count(&|d| !d.is_near() && among(d));
-            let mut u95_um: Vec<f64> = of.iter().filter_map(|draw| draw.found.u95_um).collect();
+            let mut u95_um: Vec<f64> = row.iter().filter_map(|draw| draw.found.u95_um).collect();
             u95_um.sort_by(f64::total_cmp);
             let share = |part: f64| {
                 let at = (part * u95_um.len() as f64) as usize;
@@ -357,7 +357,7 @@ fn page(args: &Args, draws: &[Draw]) -> anyhow::Result<String> {
                 text,
                 "| {} | {mounting} | {} | {go} of {beyond} | {:.1} % | {}, {}, {} | {:.1}, {:.1} | {} of {} |",
                 knows.name(),
-                of.len(),
+                row.len(),
                 100.0 * upper_bound(go, beyond),
                 far(&Draw::is_right),
                 far(&Draw::is_open),

@@ -25,9 +25,9 @@ impl Approaches {
         let repeated = || views.iter().filter(|view| view.len() > 1);
         for view in repeated() {
             let count = view.len();
-            let mean_mm = view.iter().map(|of| of.stages_mm).sum::<f64>() / count as f64;
-            let off = |of: &PoseEvidence| (of.stages_mm - mean_mm) / of.approach_sigma_mm;
-            squares += view.iter().map(|of| off(of).powi(2)).sum::<f64>();
+            let mean_mm = view.iter().map(|one| one.stages_mm).sum::<f64>() / count as f64;
+            let deviation = |one: &PoseEvidence| (one.stages_mm - mean_mm) / one.approach_sigma_mm;
+            squares += view.iter().map(|one| deviation(one).powi(2)).sum::<f64>();
             degrees_of_freedom += count - 1;
         }
         let count = repeated().map(Vec::len).min()?;
@@ -54,7 +54,7 @@ impl Approaches {
 impl PoseEvidence {
     /// Evidence of a view that was approached several times: the first one's, in the mean mounting.
     pub fn of_approaches(approaches: &[Self]) -> Option<Self> {
-        let mounts: Vec<MountPose> = approaches.iter().filter_map(|of| of.mount).collect();
+        let mounts: Vec<MountPose> = approaches.iter().filter_map(|one| one.mount).collect();
         Some(Self {
             mount: MountPose::mean(&mounts),
             ..approaches.first()?.clone()
@@ -101,7 +101,7 @@ mod tests {
             let (next, before) = views[0].split_last().expect("six");
             let found = Approaches::of(&[before.to_vec()], 2e-4).expect("five approaches");
             let u_mm = found.rotation_u_rad() * 6e-3 / 2e-4 * (1.0_f64 + 0.2).sqrt();
-            let mean_mm = before.iter().map(|of| of.stages_mm).sum::<f64>() / 5.0;
+            let mean_mm = before.iter().map(|one| one.stages_mm).sum::<f64>() / 5.0;
             covered += u32::from((next.stages_mm - mean_mm).abs() <= COVERAGE_95 * u_mm);
         }
         // 95 % of 4 000, standard deviation 0.34 %; four times that.

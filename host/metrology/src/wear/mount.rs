@@ -29,8 +29,8 @@ const STEPS: usize = 10;
 /// Scales of drift that are thought as likely as one another where none is stated, mm: octaves from the half of a flank's form up to the
 /// uncertainty of a new mounting.
 const DRIFTS_MM: [f64; 6] = [0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3, 8e-3];
-/// Motion along the circumference by a turn about the axis, per drift along an axis: what expands or bends is at least twice as long as the
-/// die's radius.
+/// Motion of the rim by a turn about any axis, per drift along an axis: what expands or bends is at least twice as long as the die's
+/// radius.
 const TURN_OF_DRIFT: f64 = 0.5;
 /// Probability, before anything is seen, that die or head was taken out since the baseline although that asks for a new one.
 const REMOUNTED: f64 = 0.05;
@@ -79,7 +79,7 @@ pub struct Seat<'a> {
 pub struct InMount {
     /// Its pose. The covariance leaves out the approach of the stages, and all of what moves the view along the circumference.
     pub registration: Registration,
-    /// How far the mounting may have drifted.
+    /// Scales of its drift, each with its probability.
     pub drifts: Vec<Drift>,
     /// Probability that it is another mounting, whose lands lie alike by chance.
     pub remounted: f64,
@@ -98,7 +98,7 @@ pub struct Drift {
     pub along_u_mm: f64,
 }
 
-/// What lands show of a drift: motions that bring the view to where the die is, mm, each with its standard uncertainty.
+/// Drift as lands show it: motions that bring the view to where the die is, mm, each with its standard uncertainty.
 #[derive(Debug, Clone, Copy)]
 struct SeenDrift {
     towards_axis_mm: [f64; 2],
@@ -123,7 +123,7 @@ impl SeenDrift {
         let remounted = REMOUNTED * self.likelihood(mount_mm);
         let drift = |&sigma_mm: &f64| {
             let [seen_mm, u_mm] = self.along_mm;
-            // Of a normal drift that was measured; a turn about the axis adds to it and was not.
+            // The shift was measured with this uncertainty; a turn about the axis was not and adds to it.
             let share = sigma_mm.powi(2) / (sigma_mm.powi(2) + u_mm.powi(2));
             Drift {
                 probability: prior * self.likelihood(sigma_mm),
@@ -348,10 +348,10 @@ impl MountPose {
         // Tips wear before roots do.
         let &(lands, moved_mm) = unmoved.first()?;
         // The form of each land is off by itself.
-        let weight = |of: &Lands| of.slope.powi(2) * of.count as f64;
+        let weight = |lands: &Lands| lands.slope.powi(2) * lands.count as f64;
         let whole: f64 = unmoved.iter().map(|(lands, _)| weight(lands)).sum();
         let along = unmoved.iter().map(|(lands, mm)| weight(lands) * mm[2]);
-        let seen = SeenDrift {
+        let drift = SeenDrift {
             towards_axis_mm: [moved_mm[0], form_mm],
             along_mm: [along.sum::<f64>() / whole, form_mm / whole.sqrt()],
         };
@@ -361,20 +361,25 @@ impl MountPose {
         } else {
             stated
         };
-        let (drifts, remounted) = seen.drifts(scales_mm, mount_mm);
+        let (drifts, remounted) = drift.drifts(scales_mm, mount_mm);
         if remounted.is_nan() || remounted >= 0.5 {
             return None;
         }
         let expected = self.expected(stages);
         let pose = Rigid::from_isometry(seat.motion(moved_mm.xy()) * expected.isometry());
-        let unseen = drifts.iter().map(|of| of.probability * of.sigma_mm.powi(2));
-        let unseen = unseen.sum::<f64>() / (1.0 - remounted);
-        let seen = form_mm * form_mm;
+        let drifted = drifts
+            .iter()
+            .map(|drift| drift.probability * drift.sigma_mm.powi(2));
+        let drifted = drifted.sum::<f64>() / (1.0 - remounted);
+        let radius_mm = seat.at_mm.xy().norm();
+        let turned = drifted * (TURN_OF_DRIFT / radius_mm).powi(2);
+        let form = form_mm * form_mm;
         let axes = [seat.towards_axis(), Vector3::z(), seat.across()];
         let [along, up, across] = axes.map(|axis| axis * axis.transpose());
         let kept = KEPT * KEPT * Matrix3::identity();
-        let rotation = (seen * across + unseen * along) / seat.half_height_mm.powi(2) + kept;
-        let shift = seen * along + unseen * up + kept;
+        let rotation =
+            form / seat.half_height_mm.powi(2) * (across + along) + turned * along + kept;
+        let shift = form * along + drifted * up + kept;
         let mut covariance = Matrix6::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
         covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&shift);
@@ -508,7 +513,7 @@ mod tests {
         }
     }
 
-    /// What a drift may be is calibrated: within the 95 % that its statements leave lie 95 % of drifts, whatever was seen of them.
+    /// Drifts are drawn from the same scales: 95 % of them lie within the 95 % that the statements leave.
     #[test]
     fn drifts_along_the_circumference_lie_where_the_lands_let_expect_them() {
         use flankscope_foundation::normal::probability_below;

@@ -91,7 +91,7 @@ pub struct SameMount {
     pub both_mm: f64,
 }
 
-/// What is known of t, with this probability: a normal distribution.
+/// Knowledge of t with this probability: a normal distribution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Statement {
     /// Probability of the statement.
@@ -113,8 +113,8 @@ impl Statement {
 
     /// Expectation of t by all of them, and its standard uncertainty, mm.
     fn together(statements: &[Self]) -> (f64, f64) {
-        let mean = |of: &dyn Fn(&Self) -> f64| {
-            let weighted = statements.iter().map(|one| one.probability * of(one));
+        let mean = |value: &dyn Fn(&Self) -> f64| {
+            let weighted = statements.iter().map(|one| one.probability * value(one));
             let whole: f64 = statements.iter().map(|one| one.probability).sum();
             weighted.sum::<f64>() / whole
         };

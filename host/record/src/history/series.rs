@@ -91,7 +91,7 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
 }
 
 /// For each side of which several teeth are looked at, the mean over them at every check that measured all, and the one that wore most.
-/// Their errors are mostly shared, so that the mean is no better known than they are.
+/// Their errors are mostly shared, so that the mean is as uncertain as they are.
 #[must_use]
 pub fn sides(series: &[Series]) -> Vec<(Series, &Series)> {
     let of_side = |side: Flank| {
@@ -99,15 +99,15 @@ pub fn sides(series: &[Series]) -> Vec<(Series, &Series)> {
         let teeth: Vec<&Series> = series.iter().filter(is_of).collect();
         let first = teeth.first().filter(|_| teeth.len() > 1)?;
         let at = |point: &Point| {
-            let same = |of: &&Series| of.points.iter().find(|other| other.check == point.check);
-            let all: Option<Vec<&Point>> = teeth.iter().map(|of| same(&of)).collect();
-            let all = all?;
-            let mean = |of: fn(&Point) -> f64| {
-                all.iter().map(|point| of(point)).sum::<f64>() / all.len() as f64
+            let is_same = |other: &&Point| other.check == point.check;
+            let all = teeth.iter().map(|tooth| tooth.points.iter().find(is_same));
+            let all = all.collect::<Option<Vec<&Point>>>()?;
+            let mean = |value: fn(&Point) -> f64| {
+                all.iter().map(|point| value(point)).sum::<f64>() / all.len() as f64
             };
             Some(Point {
-                wear_um: mean(|of| of.wear_um),
-                u_um: mean(|of| of.u_um),
+                wear_um: mean(|point| point.wear_um),
+                u_um: mean(|point| point.u_um),
                 ..*point
             })
         };

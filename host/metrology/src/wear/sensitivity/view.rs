@@ -58,7 +58,7 @@ pub struct FoundMount {
     pub recorded: MountPose,
     /// Covariance of the approaches of the stages, those of the baseline and this one, about the tool's origin.
     pub approaches: Matrix6<f64>,
-    /// How far it may have drifted since.
+    /// Scales of its drift since, each with its probability.
     pub drifts: Vec<Drift>,
     /// Probability that it is another one all the same.
     pub remounted: f64,
