@@ -141,6 +141,38 @@ fn an_interrupted_check_is_indeterminate_and_kept() {
     assert_eq!(check["frames"]["triggered"].as_u64().unwrap() % 25, 0);
 }
 
+/// While the stages reference between two approaches of a baseline, or in the next approach.
+#[test]
+fn an_interrupted_baseline_is_not_recorded_and_its_check_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (baseline, json, store) = (at("new.json"), at("check.json"), at("press.db"));
+    let order = [
+        "inspect",
+        "--teeth",
+        "40",
+        "--speed",
+        "1",
+        "--record-baseline",
+        &baseline,
+        "--approaches",
+        "50",
+        "--json",
+        &json,
+        "--history",
+        &store,
+    ];
+    let said = interrupted(&order, "head retracts", "-INT");
+    let kept = says(&said, "interrupted after");
+    assert!(kept.contains("check 1 of the history"), "{kept}");
+    let check = document(Path::new(&json));
+    assert_eq!(
+        (&check["verdict"], &check["stopped"]),
+        (&"indeterminate".into(), &"interrupted".into())
+    );
+    assert!(!Path::new(&baseline).exists());
+}
+
 /// The host stands still for longer than any evaluation takes: the check is stored before the program ends.
 #[test]
 fn an_interrupted_check_is_kept_however_slow_the_machine_is() {

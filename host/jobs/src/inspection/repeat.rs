@@ -44,7 +44,18 @@ impl Job<ViewOutcome> {
         keep(&run.outcomes);
         let mut ended = Repeated::Whole;
         for _ in 0..self.further_approaches {
-            self.acquisition.reference(client, watch).await?;
+            ended = match self.acquisition.reference(client, watch).await {
+                Ok(()) => Repeated::Whole,
+                Err(AcquisitionError::Interrupted) => Repeated::Stopped(Stop::Interrupted),
+                Err(AcquisitionError::Client(ClientError::Refused(Refusal::Interlock {
+                    ..
+                }))) => Repeated::NotLetIn,
+                // The check had begun: what was measured is kept.
+                Err(error) => Repeated::Stopped(error.into()),
+            };
+            if !matches!(ended, Repeated::Whole) {
+                break;
+            }
             let before = std::mem::take(&mut run.outcomes);
             let captured = self.capture_when_open(client, run, &views, watch).await;
             let again = std::mem::take(&mut run.outcomes);
