@@ -92,8 +92,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .as_ref()
         .or(site.settings.history.file.as_ref());
     if let (Some(path), Some(seals)) = (history, &seals) {
-        let (finding, last) = readiness::history(path, seals);
-        findings.push(finding);
+        let (found, last) = readiness::history(path, seals, &site.settings.stages);
+        findings.extend(found);
         made.extend(last.map(|day| ("the last check of the history", day)));
     }
     findings.push(doctor::shared_memory(&default_base()?));

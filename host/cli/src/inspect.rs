@@ -4,12 +4,10 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use flankscope_foundation::display::plain;
-use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
-use flankscope_instrument::settings::Stages;
 use flankscope_jobs::job::recording_id;
+use flankscope_jobs::readiness::repeatability;
 use flankscope_metrology::verdict::Word;
-use flankscope_metrology::wear::Approaches;
 use flankscope_record::document::{Feature, FeatureId, FlankInView, Inspection};
 use flankscope_record::origin::{Link, Origin};
 use flankscope_record::sink::ResultSink;
@@ -114,31 +112,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             .baseline()
             .and_then(|baseline| baseline.save(path, &seals));
         if complaints.hear(recorded.map_err(Into::into)).is_some() && !quiet {
-            say(&repeatability(inspection.approaches, &site.settings.stages));
+            say(&match &inspection.approaches {
+                Some(measured) => repeatability(measured, &site.settings.stages).line(),
+                None => "one approach of each view: how well the stages repeat was not measured (--approaches)".into(),
+            });
         }
     }
     if interrupt::is_requested() {
         say(&what_is_kept(&inspection));
     }
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
-}
-
-/// What a baseline knows of the rotary stage's repeatability.
-fn repeatability(measured: Option<Approaches>, stages: &Stages) -> String {
-    let Some(measured) = measured else {
-        return "one approach of each view: how well the stages repeat was not measured (--approaches)".into();
-    };
-    let within = 1e3 * (COVERAGE_95 * measured.rotation_u_rad()).to_degrees();
-    let found = format!(
-        "{} approaches of each view: the rotary stage repeats within {within:.2} mdeg (95 %)",
-        measured.count
-    );
-    match stages.rotation_repeatability_mdeg {
-        Some(stated) if measured.exceeds(stages.approach_sigma().0) => format!(
-            "{found}; its station file states {stated} mdeg: it repeats worse than stated, and the measured value counts"
-        ),
-        _ => found,
-    }
 }
 
 /// What is kept of an interrupted check.

@@ -1,14 +1,18 @@
-//! Findings of `doctor` on the station's key, tool, head and history.
+//! Findings of `doctor` on the station's key, tool, head, history and the repeatability of its stages.
 
 use std::path::Path;
 
 use flankscope_foundation::date::Date;
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::tool::{Tool, ToolError};
+use flankscope_metrology::wear::Approaches;
 use flankscope_profilometry::HeadModel;
 use serde_json::json;
 
 use flankscope_instrument::doctor::Finding;
+use flankscope_instrument::settings::Stages;
 use flankscope_profilometry::head::HeadDates;
+use flankscope_record::baseline::Baseline;
 use flankscope_record::history::History;
 use flankscope_record::seal::Seals;
 
@@ -133,25 +137,54 @@ pub fn head(
     finding().with(figures)
 }
 
-/// The history, with verification of its chain.
+/// Repeatability of the rotary stage by the approaches of a baseline, beside what the station file states.
 #[must_use]
-pub fn history(path: &Path, seals: &Seals) -> (Finding, Option<Date>) {
+pub fn repeatability(measured: &Approaches, stages: &Stages) -> Finding {
+    const CHECK: &str = "repeatability";
+    let mdeg = |rad: f64| 1e3 * rad.to_degrees();
+    let within_mdeg = mdeg(COVERAGE_95 * measured.rotation_u_rad());
+    let found = format!(
+        "the rotary stage repeats within {within_mdeg:.2} mdeg (95 %), by {} approaches of each view",
+        measured.count
+    );
+    let finding = match stages.rotation_repeatability_mdeg {
+        Some(stated) if measured.exceeds(stages.approach_sigma().0) => Finding::attention(
+            CHECK,
+            format!(
+                "{found}; its station file states {stated} mdeg: it repeats worse than stated, and the measured value counts"
+            ),
+            "look for play and loose cables, or state the measured value",
+        ),
+        _ => Finding::ok(CHECK, found),
+    };
+    finding.with(json!({
+        "rotation_sigma_mdeg": mdeg(measured.rotation_sigma_rad),
+        "degrees_of_freedom": measured.degrees_of_freedom,
+        "stated_mdeg": stages.rotation_repeatability_mdeg,
+    }))
+}
+
+/// The history, with verification of its chain; and the repeatability by the baseline of its last check.
+#[must_use]
+pub fn history(path: &Path, seals: &Seals, stages: &Stages) -> (Vec<Finding>, Option<Date>) {
     const CHECK: &str = "history";
     if !path.exists() {
         let seen = format!(
             "{} is not there yet: the first check makes it",
             path.display()
         );
-        return (Finding::ok(CHECK, seen), None);
+        return (vec![Finding::ok(CHECK, seen)], None);
     }
     let read = History::read(path, seals).and_then(|history| {
         history.verify()?;
         let ids = history.ids()?;
         let last = ids.last().map(|id| history.check(*id)).transpose()?;
-        Ok((ids.len(), last))
+        let baseline = last.as_ref().and_then(|last| last.baseline.as_deref());
+        let baseline = baseline.map(|hash| history.baseline(hash)).transpose()?;
+        Ok((ids.len(), last, baseline.flatten()))
     });
     match read {
-        Ok((checks, last)) => {
+        Ok((checks, last, baseline)) => {
             let seen = match &last {
                 Some(last) => format!(
                     "{}, {checks} checks, the last of {}",
@@ -161,17 +194,21 @@ pub fn history(path: &Path, seals: &Seals) -> (Finding, Option<Date>) {
                 None => format!("{}, no check yet", path.display()),
             };
             let date = last.and_then(|last| last.at.get(..10)?.parse().ok());
-            (
-                Finding::ok(CHECK, seen).with(json!({ "checks": checks })),
-                date,
-            )
+            let baseline = baseline.and_then(|text| serde_json::from_str::<Baseline>(&text).ok());
+            let measured = baseline.and_then(|baseline| baseline.approaches);
+            let mut findings = vec![Finding::ok(CHECK, seen).with(json!({ "checks": checks }))];
+            findings.extend(measured.map(|measured| repeatability(&measured, stages)));
+            (findings, date)
         }
         Err(error) => {
             let remedy = format!(
                 "look at it, then flankscope trust {} --name WHO",
                 path.display()
             );
-            (Finding::failed(CHECK, error.to_string(), remedy), None)
+            (
+                vec![Finding::failed(CHECK, error.to_string(), remedy)],
+                None,
+            )
         }
     }
 }

@@ -33,8 +33,16 @@ fn the_bench_is_healthy_and_says_what_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let history = folder.path().join("bench.db");
     let history = history.to_str().unwrap();
-    let check = inspect(&["--teeth", "40", "--link", "sim", "--history", history]);
-    assert_eq!(check.code, 0, "{}", check.stderr);
+    let baseline = folder.path().join("new.json");
+    let baseline = baseline.to_str().unwrap();
+    let one_tooth = ["--teeth", "40", "--link", "sim"];
+    let go = |more: &[&str]| {
+        let check = inspect(&[&one_tooth[..], more].concat());
+        assert_eq!(check.code, 0, "{} {}", check.json["reason"], check.stderr);
+        check
+    };
+    go(&["--record-baseline", baseline, "--approaches", "3"]);
+    let check = go(&["--baseline", baseline, "--history", history]);
     let healthy = doctor(&[
         "--link",
         "sim",
@@ -54,6 +62,7 @@ fn the_bench_is_healthy_and_says_what_it_is() {
         "press",
         "camera",
         "history",
+        "repeatability",
         "shared memory",
         "disk",
         "clock",

@@ -37,7 +37,7 @@ impl Job<ViewOutcome> {
         let mut approaches: BTreeMap<usize, Vec<PoseEvidence>> = BTreeMap::new();
         let mut keep = |outcomes: &BTreeMap<usize, ViewOutcome>| {
             for (&view, outcome) in outcomes {
-                let evidence = outcome.pose.clone().filter(|of| of.mount.is_some());
+                let evidence = outcome.pose.clone();
                 approaches.entry(view).or_default().extend(evidence);
             }
         };
