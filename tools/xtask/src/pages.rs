@@ -21,10 +21,11 @@ const SPEED: &[&str] = &[
     "host/jobs/src",
 ];
 /// Pages with figures, and the folders whose code they speak for.
-const PAGES: [(&str, &[&str]); 8] = [
+const PAGES: [(&str, &[&str]); 9] = [
     ("docs/study/README.md", VERDICT),
     ("docs/study/ground/README.md", VERDICT),
     ("docs/study/families.md", VERDICT),
+    ("docs/study/press.md", VERDICT),
     ("docs/study/resolution.md", VERDICT),
     ("docs/study/ground/resolution.md", VERDICT),
     ("docs/study/scan.md", VERDICT),
