@@ -258,10 +258,15 @@ impl Evaluator {
         laps.lap("deviation");
         // A check without a baseline may become one.
         let to_record = mount::seat(&view).filter(|_| self.criteria.baseline.is_none());
-        let mount = to_record.and_then(|seat| {
+        let mount = || {
             let stages = &view.stages.tool_from_cloud;
-            MountPose::new(&seat, stages, &fit.registration.tool_from_cloud, &closest)
-        });
+            MountPose::new(
+                to_record.as_ref()?,
+                stages,
+                &fit.registration.tool_from_cloud,
+                &closest,
+            )
+        };
         let places = wear::places(self.features(), &closest);
         let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
         // Outliers come last: light did reach them.
@@ -295,7 +300,7 @@ impl Evaluator {
             }
         };
         // Of the view as a whole: none of them needs another's result.
-        let (assessed, ((other_order_ratio, missing), (maps, deviations_um))) =
+        let (assessed, ((other_order_ratio, missing), ((maps, deviations_um), mount))) =
             rayon::join(assess, || {
                 rayon::join(
                     || {
@@ -304,7 +309,12 @@ impl Evaluator {
                             self.missing_teeth(&fit, measured, &places, &cold.points),
                         )
                     },
-                    || maps::draw(self.features(), place.tooth, &place.zone, &closest, &places),
+                    || {
+                        let draw = || {
+                            maps::draw(self.features(), place.tooth, &place.zone, &closest, &places)
+                        };
+                        rayon::join(draw, mount)
+                    },
                 )
             });
         let light = Light {
