@@ -41,12 +41,26 @@ const COARSE_MM: [f64; 2] = [0.1, 2.0];
 /// Parts of a land or root along the circumference.
 const LAND_PARTS: usize = 8;
 
-/// The demo die's bore: every flank lowered by `loss_mm` along its normal, a tooth left out where that is infinite.
+/// The demo die's bore: every flank lowered by `loss_mm` along its normal, and tip and root with it; a tooth left out where that is infinite.
 ///
 /// # Panics
 /// The drawing is impossible.
 #[must_use]
 pub fn bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
+    lowered(loss_mm, fine, false)
+}
+
+/// The same of a die that wears as in a press: flanks recede along the circumference, by `loss_mm` along their normals, and the radii of
+/// tip and root stay.
+///
+/// # Panics
+/// The drawing is impossible.
+#[must_use]
+pub fn worn_bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
+    lowered(loss_mm, fine, true)
+}
+
+fn lowered(loss_mm: impl Fn(Place) -> f64, fine: &[Fine], along_circumference: bool) -> Mesh {
     let gear = demo_gear();
     let mut mesh = Mesh::default();
     let [low, high] = gear.height_mm;
@@ -55,10 +69,12 @@ pub fn bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
         let radius = gear.tip_radius_mm + place.from_tip_mm;
         let angle = gear.flank_angle_rad(place.tooth, place.flank, radius);
         let [nx, ny] = gear.flank_normal(place.tooth, place.flank, radius);
-        // Along the circumference, so that tip and root stay where they are.
-        let along = ny * angle.cos() - nx * angle.sin();
-        let angle = angle - sunk_mm / (along * radius);
-        [radius * angle.cos(), radius * angle.sin(), place.height_mm]
+        if along_circumference {
+            let angle = angle - sunk_mm / (radius * (ny * angle.cos() - nx * angle.sin()));
+            return [radius * angle.cos(), radius * angle.sin(), place.height_mm];
+        }
+        let at = [radius * angle.cos(), radius * angle.sin()];
+        [at[0] - sunk_mm * nx, at[1] - sunk_mm * ny, place.height_mm]
     };
     for tooth in 1..=gear.teeth {
         for flank in [Flank::Right, Flank::Left] {

@@ -208,7 +208,15 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
     };
     // A go, a no-go with pixels as points, wear since a baseline, and a view whose frames do not pair.
     assert_eq!(
-        check(&["--seed", "3", "--record-baseline", &baseline]).code,
+        check(&[
+            "--seed",
+            "3",
+            "--record-baseline",
+            &baseline,
+            "--approaches",
+            "2"
+        ])
+        .code,
         0
     );
     let of_pixels = head_of_pixels(folder.path());
@@ -234,7 +242,7 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
     assert_eq!(lost.code, 2, "{}", lost.json["reason"]);
     let history = Path::new(&file);
     for (id, code, captures, head) in [
-        ("1", 0, 1, &[][..]),
+        ("1", 0, 2, &[][..]),
         ("2", 1, 1, &head),
         ("3", 1, 1, &[]),
         ("4", 2, 0, &[]),

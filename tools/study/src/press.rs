@@ -7,7 +7,7 @@ use flankscope_foundation::files::write_whole;
 use flankscope_gear_cad::{Flank, Mesh};
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::Feature;
-use flankscope_tests::die::{Fine, bore};
+use flankscope_tests::die::{Fine, worn_bore};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use super::Args;
@@ -211,7 +211,7 @@ fn worn(random: &mut Random, stand: &Stand, knows: Knows) -> Mesh {
         })
     };
     let in_view: Vec<Fine> = around.flat_map(fine).collect();
-    bore(
+    worn_bore(
         |at| {
             let side = usize::from(at.flank == Flank::Right);
             if !is_worn[side] {
