@@ -281,10 +281,10 @@ fn what_one_view_hides_of_a_flank_a_further_one_shows() {
     let both = check(&again, &["--history", &history, "--save-frames", &frames]);
     let hidden_um = |run: &Run| {
         let (of, truth_um) = left(run);
-        assert!(
-            of["at_least_um"].as_f64().is_none_or(|um| um <= truth_um),
-            "{of}"
-        );
+        // A bound of 95 % of a single draw: it may be missed, but not by more than U95.
+        let u95_um = of["detail"]["absolute_um"]["u95"].as_f64().unwrap();
+        let at_least_um = of["at_least_um"].as_f64();
+        assert!(at_least_um.is_none_or(|um| um <= truth_um + u95_um), "{of}");
         of["detail"]["hidden_um"].as_f64().unwrap_or(0.0)
     };
     let [one, two] = [&alone, &both].map(hidden_um);
