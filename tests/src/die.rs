@@ -50,8 +50,8 @@ pub fn bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
     lowered(loss_mm, fine, false)
 }
 
-/// The same of a die that wears as in a press: flanks recede along the circumference, by `loss_mm` along their normals, and the radii of
-/// tip and root stay.
+/// A bore that wears as in a press: flanks recede along the circumference, by `loss_mm` along their normals, and the radii of tip and root
+/// stay.
 ///
 /// # Panics
 /// The drawing is impossible.

@@ -6,7 +6,7 @@ mod fixture;
 use fixture::write_demo;
 pub use fixture::{small_target, small_tool, write_small_tool};
 
-use std::fs::DirBuilder;
+use std::fs::{DirBuilder, File};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
@@ -18,6 +18,7 @@ use flankscope_gear_cad::{GearKind, GearSpec};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_test_requisites::{has_aravis, workspace};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 
 /// A process that ends with its test.
@@ -363,4 +364,17 @@ pub fn expire(head: &Path) {
 fn edit(path: &Path, change: impl FnOnce(&str) -> String) {
     let edited = std::fs::read_to_string(path).and_then(|text| std::fs::write(path, change(&text)));
     assert!(edited.is_ok(), "{}: {edited:?}", path.display());
+}
+
+/// A new pseudo-terminal: its master, and the port at its other end.
+///
+/// # Panics
+/// The system has none left.
+#[must_use]
+pub fn pseudo_terminal() -> (File, PathBuf) {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let name = ptsname(&master, Vec::new()).unwrap();
+    (master.into(), PathBuf::from(name.to_str().unwrap()))
 }

@@ -55,7 +55,7 @@ pub struct Args {
     /// Write this check of a new tool as the baseline for later checks; nothing is written unless it is go
     #[arg(long, value_name = "FILE")]
     record_baseline: Option<PathBuf>,
-    /// Of a baseline: leave each view and approach it anew until it was approached so often, to measure how well the stages repeat
+    /// Approach each view of a baseline so often, with a homing in between: the scatter tells how well the stages repeat
     #[arg(long, value_name = "N", default_value_t = 5, requires = "record_baseline", conflicts_with = "frames", value_parser = clap::value_parser!(u32).range(1..=100))]
     approaches: u32,
     #[command(flatten)]

@@ -12,14 +12,13 @@ mod station;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use flankscope_foundation::clock::BootTime;
 use flankscope_foundation::date;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::LastExposure;
-use flankscope_test_requisites::Random;
+use flankscope_test_requisites::{Random, in_lanes};
 use flankscope_tests::Killed;
 use press::{Press, inspection};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
@@ -422,24 +421,7 @@ fn schedule(seed: u64) -> Seen {
 
 fn campaign(count: usize, lanes: usize) {
     let first = u64::from(std::process::id()) << 20;
-    let next = AtomicUsize::new(0);
-    let lane = || {
-        let mut all = Vec::new();
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= count {
-                return all;
-            }
-            all.push(schedule(first + number as u64));
-        }
-    };
-    let all: Vec<Seen> = std::thread::scope(|scope| {
-        let lanes: Vec<_> = (0..lanes).map(|_| scope.spawn(lane)).collect();
-        lanes
-            .into_iter()
-            .flat_map(|lane| lane.join().unwrap())
-            .collect()
-    });
+    let all = in_lanes(count, lanes, |number| schedule(first + number as u64));
     let sum = |figure: fn(&Seen) -> usize| all.iter().map(figure).sum::<usize>();
     println!(
         "{count} schedules, {} rounds of questions, {} goes, {} stops, {} kills, {} acknowledgements accepted and {} refused",

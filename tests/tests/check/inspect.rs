@@ -1,7 +1,9 @@
 //! The in-situ check, end to end: command, bench process, controller firmware, shared memory, verdict.
 
 use flankscope_test_requisites::{everything, shared};
-use flankscope_tests::{Run, flankscope, inspect, inspect_full, inspect_on, press_tool, run};
+use flankscope_tests::{
+    Run, flankscope, inspect, inspect_full, inspect_on, press_tool, pseudo_terminal, run,
+};
 
 /// The demo's limits, µm: warn at 30, stop at 50.
 const WEAR: &str = "40:left:80";
@@ -190,15 +192,10 @@ fn the_report_is_one_file_with_its_pictures_inside() {
 #[test]
 fn a_port_that_does_not_answer_could_not_run() {
     // A real port with nobody behind it: the other end of a pseudo-terminal that stays silent.
-    let master =
-        rustix::pty::openpt(rustix::pty::OpenptFlags::RDWR | rustix::pty::OpenptFlags::NOCTTY)
-            .unwrap();
-    rustix::pty::grantpt(&master).unwrap();
-    rustix::pty::unlockpt(&master).unwrap();
-    let name = rustix::pty::ptsname(&master, Vec::new()).unwrap();
+    let (_master, port) = pseudo_terminal();
     let folder = tempfile::tempdir().unwrap();
     let tool = press_tool(folder.path());
-    let silent = inspect(&["--link", name.to_str().unwrap(), "--tool", &tool]);
+    let silent = inspect(&["--link", port.to_str().unwrap(), "--tool", &tool]);
     assert_eq!(silent.code, 3, "{}", silent.stderr);
     assert!(
         silent.stderr.contains("answers nothing"),

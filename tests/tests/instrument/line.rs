@@ -6,23 +6,19 @@ use std::fs::OpenOptions;
 use flankscope_instrument::controller::Link;
 use flankscope_protocol::{FlowControl, Line, LineRecord, Parity};
 use flankscope_test_requisites::{board_image, workspace};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use flankscope_tests::pseudo_terminal;
 use rustix::termios::{ControlModes, InputModes, tcgetattr};
 
 /// The settings that the host leaves on a port, as the kernel has them (`TCGETS2`).
 fn host_line() -> [u8; 8] {
-    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&master).unwrap();
-    unlockpt(&master).unwrap();
-    let name = ptsname(&master, Vec::new()).unwrap();
-    let path = std::path::Path::new(name.to_str().unwrap());
+    let (_master, path) = pseudo_terminal();
     let slave = OpenOptions::new()
         .read(true)
         .write(true)
-        .open(path)
+        .open(&path)
         .unwrap();
     let before = tcgetattr(&slave).unwrap().output_speed();
-    let _link = Link::open(path).unwrap();
+    let _link = Link::open(&path).unwrap();
     let set = tcgetattr(&slave).unwrap();
     assert_ne!(before, set.output_speed(), "the host has set its port");
     assert_eq!(set.input_speed(), set.output_speed());

@@ -14,19 +14,18 @@
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use flankscope_protocol::message::Why;
 use flankscope_protocol::{Command, Decoder, Event, Kind, MAX_FRAME_BYTES, encode};
-use flankscope_test_requisites::{Random, everything};
-use flankscope_tests::{Killed, flankscope, press_tool};
+use flankscope_test_requisites::{Random, everything, in_lanes};
+use flankscope_tests::{Killed, flankscope, press_tool, pseudo_terminal};
 use rustix::process::{Pid, Signal, kill_process};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use serde_json::Value;
 
@@ -234,17 +233,6 @@ impl Proxy {
     }
 }
 
-/// Both ends of a new pseudo-terminal and the name of the second one.
-fn pseudo_terminal() -> (File, File, PathBuf) {
-    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&master).unwrap();
-    unlockpt(&master).unwrap();
-    let name = ptsname(&master, Vec::new()).unwrap();
-    let name = PathBuf::from(name.to_str().unwrap());
-    let slave = open_raw(&name);
-    (File::from(master), slave, name)
-}
-
 fn open_raw(port: &Path) -> File {
     let file = OpenOptions::new()
         .read(true)
@@ -285,7 +273,8 @@ fn check(tool: &str, is_worn: bool, tampering: Tampering, seed: u64) -> (i32, Li
     ];
     let station = format!("[camera]\ncommand = {command:?}\n");
     std::fs::write(at("station.toml"), station).unwrap();
-    let (master, host_end, port) = pseudo_terminal();
+    let (master, port) = pseudo_terminal();
+    let host_end = open_raw(&port);
     let mut inspect = flankscope();
     inspect
         .args(["inspect", "--quiet", "--json"])
@@ -344,43 +333,31 @@ fn tampering_with_the_line_makes_no_verdict_and_no_move() {
     let folder = tempfile::tempdir().unwrap();
     let tool = press_tool(folder.path());
     let (checks, lanes) = if everything() { (100, 8) } else { (6, 6) };
-    let next = AtomicUsize::new(0);
-    let lane = || {
+    let ended = in_lanes(checks, lanes, |number| {
+        let is_worn = number.is_multiple_of(2);
+        let rate = match number {
+            // The proxy itself makes no difference.
+            0 | 1 => 0.0,
+            _ => RATES[number % RATES.len()],
+        };
+        let expected = if is_worn { 1 } else { 0 };
         let mut ended = Vec::new();
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= checks {
-                return ended;
-            }
-            let is_worn = number.is_multiple_of(2);
-            let rate = match number {
-                // The proxy itself makes no difference.
-                0 | 1 => 0.0,
-                _ => RATES[number % RATES.len()],
-            };
-            let expected = if is_worn { 1 } else { 0 };
-            // A busy machine may keep the bench from its real time.
-            for attempt in 1..=3 {
-                let seed = number as u64 + 1;
-                let (code, record) = check(&tool, is_worn, Tampering::Damage(rate), seed);
-                assert_eq!(record.unordered, Vec::<String>::new(), "check {number}");
-                assert!([expected, 2, 3].contains(&code), "check {number}: {code}");
-                let is_complete = rate > 0.0 || code == expected;
-                assert!(is_complete || attempt < 3, "undisturbed: {code}");
-                ended.push((code, record));
-                if is_complete {
-                    break;
-                }
+        // A busy machine may keep the bench from its real time.
+        for attempt in 1..=3 {
+            let seed = number as u64 + 1;
+            let (code, record) = check(&tool, is_worn, Tampering::Damage(rate), seed);
+            assert_eq!(record.unordered, Vec::<String>::new(), "check {number}");
+            assert!([expected, 2, 3].contains(&code), "check {number}: {code}");
+            let is_complete = rate > 0.0 || code == expected;
+            assert!(is_complete || attempt < 3, "undisturbed: {code}");
+            ended.push((code, record));
+            if is_complete {
+                break;
             }
         }
-    };
-    let ended: Vec<_> = std::thread::scope(|scope| {
-        let lanes: Vec<_> = (0..lanes).map(|_| scope.spawn(lane)).collect();
-        lanes
-            .into_iter()
-            .flat_map(|lane| lane.join().unwrap())
-            .collect()
+        ended
     });
+    let ended: Vec<_> = ended.into_iter().flatten().collect();
     let count = |code: i32| ended.iter().filter(|(ended, _)| *ended == code).count();
     let frames: usize = ended.iter().map(|(_, record)| record.frames).sum();
     let damaged: Vec<_> = (0..DAMAGES.len())

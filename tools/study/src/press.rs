@@ -315,11 +315,11 @@ fn page(args: &Args, draws: &[Draw]) -> anyhow::Result<String> {
     };
     let mut text = format!(
         "# Dies whose teeth all wear\n\nMade by `{}` at commit `{}`.\n\n{} dies are drawn before each of {} heads, each head calibrated on \
-         the bench. Left, right or both flanks of all teeth are worn by 15 to 80 µm, with 0 to 30 % of scatter from tooth to tooth; half \
+         the bench.\n\nLeft, right or both flanks of all teeth are worn by 15 to 80 µm, with 0 to 30 % of scatter from tooth to tooth; half \
          of them are graded by up to 50 % along the profile, half along the height; one of four judged teeth lost up to 30 µm more. \
-         Stages err by 15 mdeg, of which 0.5 to 4 do not repeat; a baseline is recorded by {APPROACHES} approaches. Until the check the \
-         mounting drifts by 0 to 10 µm in any direction (a rotation about a point 100 to 300 mm away), or, in one of five, the die is taken \
-         out and put back within 25 µm along each axis and at its rim (standard deviations). No drift is stated to the instrument. Bounds \
+         Stages err by 15 mdeg, of which 0.5 to 4 do not repeat; a baseline is recorded by {APPROACHES} approaches.\n\nUntil the check the \
+         mounting drifts by 0 to 10 µm in any direction, with a rotation about a point 100 to 300 mm away. In one of five the die is taken \
+         out and put back instead, within 25 µm along each axis and at its rim (standard deviations). No drift is stated to the instrument. Bounds \
          are one-sided (95 %, Clopper and Pearson); draws before one head share its calibration, stages and baseline.\n\n{}\
          | known | mounting | flanks | beyond {LIMIT_UM} µm: go | P(go) at most | farther than {NEAR_UM} µm from both limits: right, \
          indeterminate, wrong | U95 / µm: median, 90 % | holds the truth |\n|---|---|---|---|---|---|---|---|\n",

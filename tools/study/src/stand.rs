@@ -97,7 +97,7 @@ impl Stand {
         Ok(self)
     }
 
-    /// The same head, from now on with a baseline of a sound bore by this many approaches.
+    /// Gives the instrument a baseline of a sound bore by this many approaches.
     pub fn with_baseline(mut self, approaches: u32) -> anyhow::Result<Self> {
         let golden = self.look(bore(|_| 0.0, &[]), 0)?;
         let mut poses: Vec<PoseEvidence> = golden.pose.into_iter().collect();
@@ -112,7 +112,7 @@ impl Stand {
             flanks: golden.fields,
             poses: PoseEvidence::of_approaches(&poses).into_iter().collect(),
             in_view: Vec::new(),
-            approaches: Approaches::of(&[poses], sigma_rad),
+            approaches: Approaches::from_views(&[poses], sigma_rad),
         };
         let tooth = self.place.tooth;
         let (tool, head) = (&self.tool, &self.head);

@@ -5,6 +5,7 @@
 //! (`cargo xtask test --all`).
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Where [`stage_clients`] looks, from the repository.
 pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
@@ -47,6 +48,24 @@ translation_mm = [11.0, 0.0, 0.0]
 centre_px = [959.5, 599.5]
 radius_px = 575.0
 "#;
+
+/// Calls `each` for all numbers below `count`, on so many threads; the results in no particular order.
+///
+/// # Panics
+/// A call panicked.
+pub fn in_lanes<T: Send>(count: usize, lanes: usize, each: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let lane = || {
+        let numbers = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
+        let numbers = numbers.take_while(|number| *number < count);
+        numbers.map(&each).collect::<Vec<T>>()
+    };
+    std::thread::scope(|scope| {
+        let running: Vec<_> = (0..lanes).map(|_| scope.spawn(lane)).collect();
+        let joined = running.into_iter().map(|lane| lane.join().unwrap());
+        joined.flatten().collect()
+    })
+}
 
 /// Random numbers that do not come from the code under test: Knuth's linear congruential generator (MMIX), from this state.
 pub struct Random(pub u64);

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
+use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::standing::MissingTooth;
-use flankscope_metrology::wear::{Approaches, PoseEvidence};
 
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::{
@@ -34,14 +34,13 @@ pub(crate) struct Findings {
     pub fields: Vec<Reference>,
     pub neighbours: Vec<ViewReference>,
     pub poses: Vec<PoseEvidence>,
-    pub approaches: Option<Approaches>,
     pub maps: Vec<FlankMap>,
     pub deviations_um: Vec<f64>,
 }
 
 impl Findings {
     /// Combines the outcomes of the views. A view without an outcome has its reason in `problems`, or else the reason for which
-    /// the check `stopped`. `rotation_sigma_rad` is what the outcomes took for the scatter of the rotary stage's approaches.
+    /// the check `stopped`.
     pub fn of(
         tool: &Tool,
         plan: &ViewPlan,
@@ -49,7 +48,6 @@ impl Findings {
         problems: &BTreeMap<usize, Reason>,
         stopped: Option<&Reason>,
         baseline: Option<&Baseline>,
-        rotation_sigma_rad: f64,
     ) -> Self {
         let presumed = verdict::presumptions(tool, baseline.is_some());
         let asked: BTreeSet<u32> = plan.views.iter().map(|view| view.tooth).collect();
@@ -61,7 +59,6 @@ impl Findings {
         let mut phasors = Vec::new();
         let mut fields = Vec::new();
         let mut poses = Vec::new();
-        let mut approaches = Vec::new();
         let mut maps = Vec::new();
         let mut deviations_um = Vec::new();
         for (view, &PlannedView { tooth, .. }) in plan.views.iter().enumerate() {
@@ -89,7 +86,6 @@ impl Findings {
                 }
                 fields.extend(outcome.fields);
                 poses.extend(outcome.pose);
-                approaches.push(outcome.approaches);
                 maps.extend(outcome.maps);
                 deviations_um.extend(outcome.deviations_um);
             } else {
@@ -128,7 +124,6 @@ impl Findings {
             fields,
             neighbours,
             poses,
-            approaches: Approaches::of(&approaches, rotation_sigma_rad),
             maps,
             deviations_um,
         }

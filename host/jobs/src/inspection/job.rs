@@ -287,7 +287,6 @@ impl Job<ViewOutcome> {
             &problems,
             stopped.as_ref(),
             self.subject.baseline.as_deref(),
-            self.subject.station.stages.approach_sigma().0,
         );
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
@@ -337,7 +336,7 @@ impl Job<ViewOutcome> {
             fields: found.fields,
             neighbours: found.neighbours,
             poses: found.poses,
-            approaches: found.approaches,
+            approaches: self.approaches,
             pictures: Pictures {
                 maps: found.maps,
                 deviations_um: found.deviations_um,

@@ -27,8 +27,6 @@ pub struct ViewOutcome {
     pub fields: Vec<Reference>,
     /// Evidence of the view's rotation about the axis, if it was registered.
     pub pose: Option<PoseEvidence>,
-    /// The same of every approach of the stages, where the view was left and approached anew.
-    pub(super) approaches: Vec<PoseEvidence>,
     /// Deviation maps of the two flanks.
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
@@ -129,12 +127,6 @@ impl ViewOutcome {
         self.in_view = in_view.with(self.tooth, again.in_view, &self.captures, &criteria);
         self.judge_again();
         self
-    }
-
-    /// Keeps the evidence of these approaches, of which the first is this one's.
-    pub(super) fn approached(&mut self, approaches: Vec<PoseEvidence>) {
-        self.pose = PoseEvidence::of_approaches(&approaches);
-        self.approaches = approaches;
     }
 
     /// Judges both flanks by all captures.

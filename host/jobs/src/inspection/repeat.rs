@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use flankscope_metrology::wear::PoseEvidence;
+use flankscope_metrology::wear::{Approaches, PoseEvidence};
 use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
@@ -26,13 +26,16 @@ enum Repeated {
 
 impl Job<ViewOutcome> {
     /// References the stages and captures all planned views again, as often as a baseline asks for it: what differs is what the stages do not
-    /// repeat. Returns why that stopped early, if it did; fewer approaches are no reason.
+    /// repeat. Returns why that stopped early, if it did; a press that closes just leaves fewer approaches.
     pub(super) async fn approach_again(
         &mut self,
         client: &mut Client,
         run: &mut Run<ViewOutcome>,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
+        if self.further_approaches == 0 {
+            return Ok(None);
+        }
         let views: Vec<usize> = (0..self.plan.views.len()).collect();
         let mut approaches: BTreeMap<usize, Vec<PoseEvidence>> = BTreeMap::new();
         let mut keep = |outcomes: &BTreeMap<usize, ViewOutcome>| {
@@ -45,7 +48,10 @@ impl Job<ViewOutcome> {
         let mut ended = Repeated::Whole;
         for _ in 0..self.further_approaches {
             ended = match self.acquisition.reference(client, watch).await {
-                Ok(()) => Repeated::Whole,
+                Ok(()) => {
+                    self.capture_again(client, run, &views, watch, &mut keep)
+                        .await?
+                }
                 Err(AcquisitionError::Interrupted) => Repeated::Stopped(Stop::Interrupted),
                 Err(AcquisitionError::Client(ClientError::Refused(Refusal::Interlock {
                     ..
@@ -56,23 +62,15 @@ impl Job<ViewOutcome> {
             if !matches!(ended, Repeated::Whole) {
                 break;
             }
-            let before = std::mem::take(&mut run.outcomes);
-            let captured = self.capture_when_open(client, run, &views, watch).await;
-            let again = std::mem::take(&mut run.outcomes);
-            keep(&again);
-            run.outcomes = ViewOutcome::joined(before, again, &self.plan);
-            ended = captured?;
-            if !matches!(ended, Repeated::Whole) {
-                break;
+        }
+        for (view, approaches) in &approaches {
+            if let Some(outcome) = run.outcomes.get_mut(view) {
+                outcome.pose = PoseEvidence::of_approaches(approaches);
             }
         }
-        for (view, approaches) in approaches {
-            if let Some(outcome) = run.outcomes.get_mut(&view)
-                && approaches.len() > 1
-            {
-                outcome.approached(approaches);
-            }
-        }
+        let views: Vec<Vec<PoseEvidence>> = approaches.into_values().collect();
+        let sigma_rad = self.subject.station.stages.approach_sigma().0;
+        self.approaches = Approaches::from_views(&views, sigma_rad);
         Ok(match ended {
             Repeated::Stopped(why) => Some(why),
             Repeated::Whole | Repeated::NotLetIn => None,
@@ -117,12 +115,8 @@ impl Job<ViewOutcome> {
                     run.wanted.push(view);
                 }
             }
-            let before = std::mem::take(&mut run.outcomes);
-            let captured = self.capture_when_open(client, run, &again, watch).await;
-            // A view that fails now keeps its earlier outcome.
-            let again = std::mem::take(&mut run.outcomes);
-            run.outcomes = ViewOutcome::joined(before, again, &self.plan);
-            match captured? {
+            let captured = self.capture_again(client, run, &again, watch, |_| {});
+            match captured.await? {
                 Repeated::Whole => {}
                 Repeated::Stopped(why) => return Ok(Some(why)),
                 Repeated::NotLetIn => return Ok(None),
@@ -152,6 +146,24 @@ impl Job<ViewOutcome> {
         let outcomes = run.outcomes.values();
         let wanted = outcomes.flat_map(|outcome| outcome.further_wanted(&self.plan));
         wanted.filter(is_reached).collect()
+    }
+
+    /// Captures views once more and joins their outcomes with those before; `look` is shown the new ones. A view that fails now keeps its
+    /// earlier outcome.
+    async fn capture_again(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        views: &[usize],
+        watch: &mut impl FnMut(Progress),
+        look: impl FnOnce(&BTreeMap<usize, ViewOutcome>),
+    ) -> Result<Repeated, InspectError> {
+        let before = std::mem::take(&mut run.outcomes);
+        let captured = self.capture_when_open(client, run, views, watch).await;
+        let again = std::mem::take(&mut run.outcomes);
+        look(&again);
+        run.outcomes = ViewOutcome::joined(before, again, &self.plan);
+        captured
     }
 
     /// Captures views at the next opening of the press, if it has gone on meanwhile.

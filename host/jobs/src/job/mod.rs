@@ -16,6 +16,7 @@ use std::sync::Arc;
 
 use flankscope_foundation::date::Date;
 use flankscope_metrology::verdict::Reason;
+use flankscope_metrology::wear::Approaches;
 use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::runtime::Runtime;
 
@@ -44,6 +45,8 @@ pub struct Job<O> {
     pub(crate) poses: Option<PoseProgram>,
     /// Approaches of each view after the first one; for a baseline only.
     pub(crate) further_approaches: u32,
+    /// Repeatability of the rotary stage that they showed.
+    pub(crate) approaches: Option<Approaches>,
 }
 
 /// Source of a job's frames.
@@ -82,6 +85,7 @@ impl<O: Send + 'static> Job<O> {
             plan,
             poses: None,
             further_approaches: 0,
+            approaches: None,
         })
     }
 

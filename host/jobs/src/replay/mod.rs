@@ -223,7 +223,6 @@ fn compute(history: &History, stored: &Stored, subject: &Subject) -> Result<Comp
         &problems,
         stopped.as_ref(),
         subject.baseline.as_deref(),
-        subject.station.stages.approach_sigma().0,
     );
     Ok(Computed {
         plan,

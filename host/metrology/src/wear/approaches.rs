@@ -20,14 +20,14 @@ pub struct Approaches {
 impl Approaches {
     /// From the evidence of each view's approaches, on a die whose flanks did not change meanwhile. `rotation_sigma_rad` is what
     /// that evidence takes for the standard uncertainty of the angle. None unless a view was approached twice.
-    pub fn of(views: &[Vec<PoseEvidence>], rotation_sigma_rad: f64) -> Option<Self> {
+    pub fn from_views(views: &[Vec<PoseEvidence>], rotation_sigma_rad: f64) -> Option<Self> {
         let (mut degrees_of_freedom, mut squares) = (0, 0.0);
         let repeated = || views.iter().filter(|view| view.len() > 1);
         for view in repeated() {
             let count = view.len();
-            let mean_mm = view.iter().map(|one| one.stages_mm).sum::<f64>() / count as f64;
-            let deviation = |one: &PoseEvidence| (one.stages_mm - mean_mm) / one.approach_sigma_mm;
-            squares += view.iter().map(|one| deviation(one).powi(2)).sum::<f64>();
+            let mean_mm = view.iter().map(|at| at.stages_mm).sum::<f64>() / count as f64;
+            let deviation = |at: &PoseEvidence| (at.stages_mm - mean_mm) / at.approach_sigma_mm;
+            squares += view.iter().map(|at| deviation(at).powi(2)).sum::<f64>();
             degrees_of_freedom += count - 1;
         }
         let count = repeated().map(Vec::len).min()?;
@@ -54,7 +54,7 @@ impl Approaches {
 impl PoseEvidence {
     /// Evidence of a view that was approached several times: the first one's, in the mean mounting.
     pub fn of_approaches(approaches: &[Self]) -> Option<Self> {
-        let mounts: Vec<MountPose> = approaches.iter().filter_map(|one| one.mount).collect();
+        let mounts: Vec<MountPose> = approaches.iter().filter_map(|at| at.mount).collect();
         Some(Self {
             mount: MountPose::mean(&mounts),
             ..approaches.first()?.clone()
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn scatter_about_each_view_s_own_mean_is_the_repeatability() {
-        let found = Approaches::of(&views(40, 26, 1.5e-3, 3), 2e-4).expect("approaches");
+        let found = Approaches::from_views(&views(40, 26, 1.5e-3, 3), 2e-4).expect("approaches");
         assert_eq!((found.count, found.degrees_of_freedom), (26, 1000));
         // A quarter of what was taken for it, known to 1 / root 2000 from 1 000 degrees of freedom; four times that.
         assert!((found.rotation_sigma_rad / 0.5e-4 - 1.0).abs() < 4.0 * 0.022);
@@ -99,9 +99,9 @@ mod tests {
         for seed in 0..draws {
             let views = views(1, 6, 1.5e-3, 1_000 + 7 * seed);
             let (next, before) = views[0].split_last().expect("six");
-            let found = Approaches::of(&[before.to_vec()], 2e-4).expect("five approaches");
+            let found = Approaches::from_views(&[before.to_vec()], 2e-4).expect("five approaches");
             let u_mm = found.rotation_u_rad() * 6e-3 / 2e-4 * (1.0_f64 + 0.2).sqrt();
-            let mean_mm = before.iter().map(|one| one.stages_mm).sum::<f64>() / 5.0;
+            let mean_mm = before.iter().map(|at| at.stages_mm).sum::<f64>() / 5.0;
             covered += u32::from((next.stages_mm - mean_mm).abs() <= COVERAGE_95 * u_mm);
         }
         // 95 % of 4 000, standard deviation 0.34 %; four times that.
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn one_approach_tells_nothing() {
-        assert_eq!(Approaches::of(&views(3, 1, 1e-3, 1), 2e-4), None);
-        assert_eq!(Approaches::of(&[], 2e-4), None);
+        assert_eq!(Approaches::from_views(&views(3, 1, 1e-3, 1), 2e-4), None);
+        assert_eq!(Approaches::from_views(&[], 2e-4), None);
     }
 }

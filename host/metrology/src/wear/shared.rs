@@ -113,14 +113,17 @@ impl Statement {
 
     /// Expectation of t by all of them, and its standard uncertainty, mm.
     fn together(statements: &[Self]) -> (f64, f64) {
-        let mean = |value: &dyn Fn(&Self) -> f64| {
-            let weighted = statements.iter().map(|one| one.probability * value(one));
-            let whole: f64 = statements.iter().map(|one| one.probability).sum();
-            weighted.sum::<f64>() / whole
-        };
-        let at_mm = mean(&|one| one.at_mm);
-        let variance = mean(&|one| one.sigma_mm.powi(2) + (one.at_mm - at_mm).powi(2));
-        (at_mm, variance.sqrt())
+        let (mut whole, mut sum_mm, mut squares) = (0.0, 0.0, 0.0);
+        for statement in statements {
+            whole += statement.probability;
+            sum_mm += statement.probability * statement.at_mm;
+        }
+        let mean_mm = sum_mm / whole;
+        for statement in statements {
+            let off_mm = statement.at_mm - mean_mm;
+            squares += statement.probability * (statement.sigma_mm.powi(2) + off_mm * off_mm);
+        }
+        (mean_mm, (squares / whole).sqrt())
     }
 }
 

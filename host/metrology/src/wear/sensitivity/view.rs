@@ -34,7 +34,7 @@ pub struct FittedView<'a> {
     /// The part of the prior's covariance that is drawn anew with every approach of the stages.
     pub approach: Matrix6<f64>,
     /// The mounting of the baseline, where it is the same.
-    pub same_mount: Option<FoundMount>,
+    pub same_mount: Option<&'a FoundMount>,
     /// Settings of the fit.
     pub options: &'a Options,
     /// Nearest surface point of every point.
@@ -276,7 +276,7 @@ impl FittedView<'_> {
             (None, None) => Vector6::zeros(),
         };
         let across = across.normalize();
-        let same_mount = self.same_mount.as_ref().map(|mount| {
+        let same_mount = self.same_mount.map(|mount| {
             let back = to(mount
                 .recorded
                 .expected(&self.stages.tool_from_cloud)
